@@ -1,0 +1,24 @@
+"""lunar_rescue: the rescue of a fallen astronaut by a two-armed lunar robot, as a Gymnasium environment."""
+
+import gymnasium
+
+from lunar_rescue.env import ENVIRONMENT_VERSION, LunarRescueEnv
+from lunar_rescue.postures import postures
+from lunar_rescue.rewards import RewardWeights
+from lunar_rescue.scene import TASKS, Rock, Scene, sample_scene
+
+ENV_ID = "LunarRescue-v0"
+# The step limit lives in the environment (the time bonus needs it), so Gymnasium adds no second one.
+gymnasium.register(id=ENV_ID, entry_point="lunar_rescue.env:LunarRescueEnv")
+
+__all__ = [
+    "ENVIRONMENT_VERSION",
+    "ENV_ID",
+    "TASKS",
+    "LunarRescueEnv",
+    "RewardWeights",
+    "Rock",
+    "Scene",
+    "postures",
+    "sample_scene",
+]

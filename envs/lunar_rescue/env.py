@@ -1,0 +1,291 @@
+"""``LunarRescue-v0``: the multi-objective Markov decision process of section 2.1 as a Gymnasium environment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lunar_rescue import rewards
+from lunar_rescue.astronaut import Astronaut, AstronautState
+from lunar_rescue.observation import Observer, as_dict, observation_space
+from lunar_rescue.rewards import RewardWeights
+from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot, RobotState
+from lunar_rescue.scene import TASKS, Scene, sample_scene
+from lunar_rescue.simulation import Simulation
+from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS, SMALLEST_ERROR, TARGET_RADIUS, TASK_TYPES, Contacts, Task
+
+Array = NDArray[np.float64]
+ENVIRONMENT_VERSION = "0.1"
+SEED_BITS = 2**31 - 1
+RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from an arm end, to see whether the body is above it
+REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
+
+
+@dataclass
+class Episode:
+    """What an episode remembers besides the simulation's state."""
+
+    scene: Scene
+    astronaut: Astronaut
+    task: Task
+    observer: Observer
+    rocks: list[int]
+    marks: Array  # (m, 3) [m]
+    order: list[int]  # which target belongs to arm A and arm B
+    robot: RobotState
+    body: AstronautState
+    best: Array  # D_m (2,)
+    process: int = 1
+    held: int = 0
+    steps: int = 0
+    rock_contact: bool = False
+    under_at: int | None = None
+
+    def targets(self) -> Array:
+        """P_G of arm A and arm B (2, 3) [m]."""
+        return self.astronaut.targets(self.body)[self.order]
+
+
+class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
+    """A two-armed robot gets its arms under a fallen astronaut and lifts them or turns them over.
+
+    Action: Eq. 3 for the ten arm joints (arm A, arm B), then the waist, all in [-1, 1], (11,).
+    Observation: a Dict with the paper's symbols, see ``lunar_rescue.observation``.
+    Reward: Eq. 2 towards the target areas, then towards the goal pose; ``info["reward_terms"]`` has every term.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        weights: RewardWeights | None = None,
+        obstacle_reward: str = "aapf",
+        max_steps: int = MAX_STEPS,
+    ) -> None:
+        """Connect to the simulator.
+
+        Args:
+            render_mode: None or ``"rgb_array"``.
+            weights: Weights of the reward's terms.
+            obstacle_reward: ``"aapf"`` (Eq. 2) or ``"contact"`` (the ablation of section 4.3).
+            max_steps: phi_max, step limit of an episode.
+        """
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
+        if obstacle_reward not in ("aapf", "contact"):
+            raise ValueError(f"obstacle_reward: expected 'aapf' or 'contact', got {obstacle_reward!r}")
+        if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
+            raise ValueError(f"max_steps: expected an integer >= 1, got {max_steps!r}")
+        self.render_mode = render_mode
+        self.weights = weights or RewardWeights()
+        self.obstacle_reward = obstacle_reward
+        self.max_steps = max_steps
+        self.observation_space = observation_space()
+        self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
+        self.simulation = Simulation()
+        self.robot = Robot(self.simulation)
+        self._episode: Episode | None = None
+        self._zero = np.zeros(JOINTS)
+
+    # -- Gymnasium's interface -------------------------------------------------------------------------------------
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+        """Start an episode; ``options`` may hold ``scene``, or ``posture`` and ``task`` to draw one."""
+        super().reset(seed=seed)
+        vector, info = self.reset_flat(seed, options)
+        return as_dict(vector), info
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, Any]]:
+        """Hold an action for 0.1 s."""
+        vector, reward, terminated, truncated, info = self.step_flat(action)
+        return as_dict(vector), reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return a picture (height, width, 3), or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        from lunar_rescue.rendering import picture
+
+        return picture(self.simulation, self.episode.scene)
+
+    def close(self) -> None:
+        """Disconnect from the simulator."""
+        self.simulation.close()
+
+    # -- the same with flat observations, for learners --------------------------------------------------------------
+    def reset_flat(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """As ``reset``, with the observation as one vector (SIZE,)."""
+        scene = self._choose_scene(seed, dict(options or {}))
+        self._episode = self._build(scene)
+        return self._observe(self._zero), {"scene": scene, "task": scene.task, "posture": scene.posture}
+
+    def step_flat(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """As ``step``, with the observation as one vector (SIZE,)."""
+        episode, clipped = self.episode, _checked_action(action)
+        before = episode.robot.angles
+        self.robot.drive(clipped, before)
+        self.simulation.advance(CONTROL_SUBSTEPS)
+        episode.robot, episode.body = self.robot.state(), episode.astronaut.state()
+        episode.steps += 1
+        terms, success, failure = self._judge(episode, episode.robot.angles - before)
+        truncated = not success and failure is None and episode.steps >= self.max_steps
+        info = self._info(episode, terms, success, "timeout" if truncated else failure)
+        return self._observe(clipped), sum(terms.values()), success or failure is not None, truncated, info
+
+    @property
+    def episode(self) -> Episode:
+        """The episode under way."""
+        if self._episode is None:
+            raise RuntimeError("LunarRescue-v0: call reset() before step() or render()")
+        return self._episode
+
+    # -- parts -------------------------------------------------------------------------------------------------------
+    def _choose_scene(self, seed: int | None, options: dict[str, Any]) -> Scene:
+        scene, posture, task = (options.pop(key, None) for key in ("scene", "posture", "task"))
+        if options:
+            raise ValueError(f"options: expected scene, posture or task, got {', '.join(map(repr, options))}")
+        if scene is not None:
+            if not isinstance(scene, Scene):
+                raise ValueError(f"options['scene']: expected a Scene, got {type(scene).__name__}")
+            if posture is not None or task is not None:
+                raise ValueError("options: a scene has its posture and task already; give scene, or posture and task")
+            return scene
+        if seed is None:
+            seed = int(self.np_random.integers(SEED_BITS))
+        return sample_scene(seed, posture=posture, task=task)
+
+    def _build(self, scene: Scene) -> Episode:
+        simulation = self.simulation
+        simulation.clear([self.robot.handle])
+        simulation.set_friction(scene.friction, [(self.robot.handle, self.robot.links)])
+        self.robot.reset(scene.base_x, scene.base_y, scene.base_yaw)
+        astronaut = Astronaut(simulation, scene)
+        rocks = [simulation.add_hull(rock.vertices()) for rock in scene.rocks]
+        marks = np.concatenate([rock.marks() for rock in scene.rocks]) if scene.rocks else np.zeros((0, 3))
+        robot, body = self.robot.state(fresh=True), astronaut.state()
+        targets = astronaut.targets(body)
+        left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
+        order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
+        observer = Observer(scene, self.robot, targets)
+        task = TASK_TYPES[scene.task](astronaut.start)
+        best = _lengths(robot.ends - targets[order])
+        return Episode(scene, astronaut, task, observer, rocks, marks, order, robot, body, best)
+
+    def _observe(self, action: Array) -> NDArray[np.float32]:
+        e = self.episode
+        phase = np.array([float(e.process == 2), e.steps / self.max_steps])
+        return e.observer.fill(e.robot, e.body, e.targets(), e.astronaut.keypoints(e.body), action, phase)
+
+    def _judge(self, e: Episode, moved: Array) -> tuple[dict[str, float], bool, str | None]:
+        """Update the episode's memory; return reward terms, success and failure."""
+        clearance = self._mark_distances(e)
+        touches = self._touches_rock(e, clearance)
+        e.rock_contact = e.rock_contact or touches
+        distance = _lengths(e.robot.ends - e.targets()) if e.process == 1 else np.full(2, e.task.pose_error(e.body))
+        terms = self._terms(e, distance, clearance, moved, touches)
+        e.best = np.minimum(e.best, distance)
+        if e.process == 1 and self._both_under(e, distance):
+            terms["both_arms_under"] = self.weights.both_arms_under
+            e.process, e.under_at = 2, e.steps
+            e.best = np.full(2, e.task.pose_error(e.body))
+        success = self._succeeds(e)
+        failure = None if success else self._fails(e, touches)
+        if success:
+            terms["time_bonus"] = self.weights.time_bonus * rewards.time_bonus(e.steps, self.max_steps)
+        if failure is not None:
+            terms["failure"] = -self.weights.failure
+        return terms, success, failure
+
+    def _terms(self, e: Episode, distance: Array, clearance: Array, moved: Array, touches: bool) -> dict[str, float]:
+        w = self.weights
+        obstacle = (
+            rewards.obstacle_avoidance(clearance, rho=w.rho, xi=w.xi)
+            if self.obstacle_reward == "aapf"
+            else w.contact * rewards.contact(touches)
+        )
+        return {
+            "approach": rewards.approach(e.best, distance, beta=w.beta, form=w.form),
+            "obstacle_avoidance": obstacle,
+            "joint_motion": rewards.joint_motion(moved, varphi=w.varphi),
+            "time_bonus": 0.0,
+            "both_arms_under": 0.0,
+            "failure": 0.0,
+        }
+
+    def _mark_distances(self, e: Episode) -> Array:
+        """Distances of every joint to every mark point, (12, m) [m]."""
+        between = e.robot.points[:, None, :] - e.marks[None, :, :]
+        return np.sqrt(np.einsum("ijk,ijk->ij", between, between)) + 1e-9
+
+    def _touches_rock(self, e: Episode, clearance: Array) -> bool:
+        if not e.rocks or clearance.min() > REACH_OF_LINK:
+            return False
+        near = clearance.min(axis=0).reshape(len(e.rocks), -1).min(axis=1) < REACH_OF_LINK
+        return any(self.simulation.touching(self.robot.handle, e.rocks[i]) for i in np.flatnonzero(near))
+
+    def _both_under(self, e: Episode, distance: Array) -> bool:
+        """Process 1: both ends in their target areas, with the astronaut above them."""
+        if e.rock_contact or np.any(distance > TARGET_RADIUS):
+            return False
+        return all(self.simulation.ray_hits(end + [0, 0, 0.03], end + RAY, e.astronaut.handle) for end in e.robot.ends)
+
+    def _succeeds(self, e: Episode) -> bool:
+        """Process 2: the pose held for ``HOLD_STEPS``, after process 1."""
+        right = e.process == 2 and e.task.pose_reached(e.body) and e.task.contacts_right(self.contacts())
+        e.held = e.held + 1 if right else 0
+        return e.held >= HOLD_STEPS
+
+    def _fails(self, e: Episode, touches: bool) -> str | None:
+        if touches and e.process == 1:
+            return "obstacle_contact"  # criterion (2) of section 4.2 can no longer be met
+        return e.task.failure(e.body, e.process)
+
+    def contacts(self) -> Contacts:
+        """Who touches the astronaut now."""
+        e = self.episode
+        handle = e.astronaut.handle
+        rows = self.simulation.contact_forces(self.robot.handle, handle)
+        loaded = {link for link, _, force in rows if float(force @ force) > 1.0}
+        plates = [bool(loaded & self.robot.arm_links[i]) for i in range(2)]
+        return Contacts(self.simulation.touching(handle, self.simulation.ground), (plates[0], plates[1]))
+
+    def _info(self, e: Episode, terms: dict[str, float], success: bool, failure: str | None) -> dict[str, Any]:
+        return {
+            "reward_terms": terms,
+            "is_success": success,
+            "failure": failure,
+            "both_arms_under": e.process == 2,
+            "task": e.scene.task,
+            "posture": e.scene.posture,
+        }
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + SMALLEST_ERROR
+
+
+def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
+    array = np.asarray(action, dtype=np.float64)
+    if array.shape != (JOINTS,) or not np.all(np.isfinite(array)):
+        raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
+    return np.clip(array, -1.0, 1.0)
+
+
+def without_rocks(scene: Scene) -> Scene:
+    """The same scene without obstacles."""
+    return replace(scene, rocks=())
+
+
+__all__ = ["ENVIRONMENT_VERSION", "TASKS", "LunarRescueEnv", "without_rocks"]

@@ -1,0 +1,126 @@
+"""The observation s_t: what each key holds, its shape and unit, and how it is filled.
+
+Positions are in the robot's base frame (x forward, y left, z up), which is what the robot's own sensors give. All
+entries lie in one flat vector, and the Dict observation's arrays are its slices: learners read it without copying.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lunar_rescue.astronaut import AstronautState
+from lunar_rescue.robot import ARMS, JOINTS, WAIST, Robot, RobotState
+from lunar_rescue.scene import MAX_ROCKS, TASKS, Scene
+from lunar_rescue.suit import KEYPOINT_NAMES
+
+Array = NDArray[np.float64]
+
+BOUND = 5.0  # every entry is scaled to about [-1, 1] and clipped here
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One key of the observation.
+
+    Attributes:
+        key: The paper's symbol.
+        size: Number of values.
+        meaning: What they are, in order, with units.
+    """
+
+    key: str
+    size: int
+    meaning: str
+
+
+ENTRIES = (
+    Entry("P_A", 21, "arm A (left): 5 angles from q_init [60 deg], 5 speeds [1.5 rad/s], 5 motor torques [limit], end position (3) [m], direction of the plate (3)"),
+    Entry("P_B", 21, "arm B (right), the same"),
+    Entry("P_W", 3, "waist: angle from its initial value [60 deg], speed [1.5 rad/s], torque [limit]"),
+    Entry("P_G", 12, "target areas of arm A and arm B: position (2 x 3) [m], and from arm end to target (2 x 3) [m]"),
+    Entry("P_P", 54, "astronaut: centre of gravity (3) [m], front and left axes (6), velocity (3) [m/s], spin (3) [rad/s], 13 key points of the skeleton (39) [m]"),
+    Entry("P_E", 5 * MAX_ROCKS, f"obstacles, nearest to the targets first, {MAX_ROCKS} rows: position of the top mark (3) [m], radius of the ring of flank marks [m], present (1 or 0)"),
+    Entry("P_R", 4, "robot base in the work area: x, y [m], cos and sin of its heading"),
+    Entry("a_prev", JOINTS, "previous action"),
+    Entry("I", 2, "task code: one-hot of lift, turn_over"),
+    Entry("phase", 2, "process 2 reached (0 or 1), share of the step limit used"),
+)  # fmt: skip  # noqa: E501
+
+SIZE = sum(entry.size for entry in ENTRIES)
+_STARTS = np.cumsum([0] + [entry.size for entry in ENTRIES])
+SLICES: dict[str, slice] = {e.key: slice(int(a), int(a) + e.size) for e, a in zip(ENTRIES, _STARTS, strict=False)}
+
+
+def observation_space() -> spaces.Dict:
+    """The Dict space, keys in the order of ``ENTRIES``."""
+    return spaces.Dict({e.key: spaces.Box(-BOUND, BOUND, (e.size,), np.float32) for e in ENTRIES})
+
+
+def as_dict(vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """Slice flat observations, (..., SIZE), into the Dict's arrays."""
+    return {key: vector[..., where].copy() for key, where in SLICES.items()}
+
+
+def observation_table() -> list[dict[str, object]]:
+    """Rows key, shape, meaning for notebooks and documentation."""
+    return [{"key": e.key, "shape": (e.size,), "meaning": e.meaning} for e in ENTRIES]
+
+
+class Observer:
+    """Fills the observation of one episode."""
+
+    def __init__(self, scene: Scene, robot: Robot, targets: Array) -> None:
+        """Prepare everything that stays the same during the episode; ``targets`` (2, 3) orders the rocks."""
+        self._robot = robot
+        c, s = math.cos(scene.base_yaw), math.sin(scene.base_yaw)
+        self._world_to_base = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]).T  # rows times this
+        self._base = np.array([scene.base_x, scene.base_y, 0.0])
+        self._template = np.zeros(SIZE)
+        self._template[SLICES["P_R"]] = [scene.base_x, scene.base_y, c, s]
+        self._template[SLICES["I"]] = [float(scene.task == task) for task in TASKS]
+        self._template[SLICES["P_E"]] = self._obstacles(scene, targets).ravel()
+
+    def _obstacles(self, scene: Scene, targets: Array) -> Array:
+        rows = np.zeros((MAX_ROCKS, 5))
+        middle = targets.mean(axis=0)
+        nearest = sorted(scene.rocks, key=lambda r: math.hypot(r.x - middle[0], r.y - middle[1]))
+        for row, rock in zip(rows, nearest, strict=False):
+            marks = self.to_base(rock.marks())
+            row[:3] = marks[0]
+            row[3] = np.linalg.norm(marks[1] - marks[3]) / 2
+            row[4] = 1.0
+        return rows
+
+    def to_base(self, points: Array) -> Array:
+        """Points (n, 3) of the world in the base frame."""
+        moved: Array = (points - self._base) @ self._world_to_base
+        return moved
+
+    def fill(
+        self, robot: RobotState, body: AstronautState, targets: Array, skeleton: Array, action: Array, phase: Array
+    ) -> NDArray[np.float32]:
+        """Return the flat observation (SIZE,), float32."""
+        out = self._template.copy()
+        points = self.to_base(np.concatenate([robot.ends, targets, body.centre[None], skeleton]))
+        turned = np.concatenate([robot.directions, body.rotation[:, :2].T, body.velocity[None], body.spin[None]])
+        turned = turned @ self._world_to_base
+        angles = (robot.angles - self._robot.initial) / self._robot.window
+        speeds = robot.speeds / self._robot.speed_limits
+        torques = robot.torques / self._robot.torque_limits
+        for index, (arm, key) in enumerate(zip(ARMS, ("P_A", "P_B"), strict=True)):
+            j = arm.joints
+            out[SLICES[key]] = np.concatenate([angles[j], speeds[j], torques[j], points[index], turned[index]])
+        out[SLICES["P_W"]] = angles[WAIST], speeds[WAIST], torques[WAIST]
+        out[SLICES["P_G"]] = np.concatenate([points[2:4].ravel(), (points[2:4] - points[0:2]).ravel()])
+        out[SLICES["P_P"]] = np.concatenate([points[4], turned[2:6].ravel(), points[5:].ravel()])
+        out[SLICES["a_prev"]] = action
+        out[SLICES["phase"]] = phase
+        return np.clip(out, -BOUND, BOUND).astype(np.float32)
+
+
+assert len(KEYPOINT_NAMES) * 3 + 15 == dict((e.key, e.size) for e in ENTRIES)["P_P"]  # noqa: S101 (of this module)

@@ -1,0 +1,134 @@
+"""The terms of Eq. 2 and of the project's own milestones, as pure functions of floats and arrays.
+
+Every function is one term; :class:`RewardWeights` says how the environment sums them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ApproachForm = Literal["literal", "signed"]
+
+
+def _distances(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return distances as an array; a distance that is not finite and positive is an error."""
+    array = np.asarray(values, dtype=np.float64)
+    if not np.all(np.isfinite(array)) or np.any(array <= 0.0):
+        raise ValueError(f"{name}: expected finite distances above 0 m, got {values!r}")
+    return array
+
+
+def _finite(value: float, name: str) -> float:
+    if not np.isfinite(value):
+        raise ValueError(f"{name}: expected a finite number, got {value!r}")
+    return float(value)
+
+
+def approach(best_distance: ArrayLike, distance: ArrayLike, *, beta: float, form: ApproachForm) -> float:
+    """First term of Eq. 2: reward for coming closer than ever before.
+
+    ``literal`` is beta exp[D_m - D]; ``signed`` is beta (exp[D_m - D] - 1), positive when closer than the best so
+    far and negative otherwise, as the paper's text has it.
+
+    Args:
+        best_distance: D_m, smallest distance before this step, a float or (2,) for two arms [m].
+        distance: D, the distance now, same shape [m].
+        beta: Weight.
+        form: ``"literal"`` or ``"signed"``.
+
+    Returns:
+        The term; for arrays the mean over the arms.
+
+    Raises:
+        ValueError: On a distance that is not finite and positive, shapes that differ or an unknown form.
+    """
+    best, now = _distances(best_distance, "best_distance"), _distances(distance, "distance")
+    if best.shape != now.shape:
+        raise ValueError(f"approach: best_distance has shape {best.shape}, distance {now.shape}; expected the same")
+    if form not in ("literal", "signed"):
+        raise ValueError(f"form: expected 'literal' or 'signed', got {form!r}")
+    gain = np.exp(best - now) if form == "literal" else np.expm1(best - now)
+    return _finite(beta, "beta") * float(np.mean(gain))
+
+
+def obstacle_avoidance(distances: ArrayLike, *, rho: float, xi: float) -> float:
+    """Second term of Eq. 2, the artificial potential field (AAPF): -rho log(sum xi / D + 1).
+
+    Args:
+        distances: D of every joint to every mark point, any shape; an empty array is a scene without rocks [m].
+        rho: Weight.
+        xi: Length scale of the field [m].
+
+    Raises:
+        ValueError: On a distance that is not finite and positive.
+    """
+    array = _distances(distances, "distances")
+    return -_finite(rho, "rho") * float(np.log(np.sum(_finite(xi, "xi") / array) + 1.0))
+
+
+def joint_motion(delta: ArrayLike, *, varphi: float) -> float:
+    """Third term of Eq. 2: -varphi sum |delta omega|; absolute, as signed changes would cancel.
+
+    Args:
+        delta: Change of each joint angle of arms and waist in this step, (11,) [rad].
+        varphi: Weight [1/rad].
+    """
+    array = np.asarray(delta, dtype=np.float64)
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"delta: expected finite angles, got {delta!r}")
+    return -_finite(varphi, "varphi") * float(np.sum(np.abs(array)))
+
+
+def time_bonus(steps: float, max_steps: float) -> float:
+    """Fourth term of Eq. 2: 1 - 0.9 phi / phi_max, given when the task is completed.
+
+    Args:
+        steps: phi, episode length at completion, in [0, max_steps].
+        max_steps: phi_max, the step limit.
+    """
+    if not (np.isfinite(max_steps) and max_steps > 0 and np.isfinite(steps) and 0 <= steps <= max_steps):
+        raise ValueError(f"time_bonus: expected 0 <= steps <= max_steps, got steps={steps!r}, max_steps={max_steps!r}")
+    return 1.0 - 0.9 * steps / max_steps
+
+
+def contact(in_contact: bool) -> float:
+    """The common reward that the ablation uses in place of the AAPF: -0.5 on contact, else +0.5 (section 4.3)."""
+    return -0.5 if in_contact else 0.5
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weight of each term, under the term's name; the paper gives none of them."""
+
+    beta: float = 1.0
+    """Approach term, both processes."""
+    rho: float = 0.02
+    """AAPF term: about a tenth of the approach term near a rock, so that it steers and does not stop."""
+    xi: float = 0.05
+    """AAPF length scale [m]."""
+    varphi: float = 0.005
+    """Joint-motion term [1/rad]."""
+    time_bonus: float = 5.0
+    """Factor on the time bonus, so that finishing is worth more than any dwelling."""
+    both_arms_under: float = 1.0
+    """Once, when process 1 is completed; not in the paper."""
+    failure: float = 2.0
+    """Subtracted once when an episode ends in a failure other than the time limit; not in the paper."""
+    contact: float = 0.02
+    """Factor on the contact reward where it replaces the AAPF term."""
+    form: ApproachForm = "signed"
+    """Form of the approach term that the project trains with."""
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are not finite and not negative."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "form":
+                if value not in ("literal", "signed"):
+                    raise ValueError(f"RewardWeights.form: expected 'literal' or 'signed', got {value!r}")
+            elif not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"RewardWeights.{field.name}: expected a finite number >= 0, got {value!r}")

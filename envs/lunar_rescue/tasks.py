@@ -1,0 +1,129 @@
+"""The two tasks (I) and the two processes of section 4.1: when an episode succeeds, fails or runs out of time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.astronaut import AstronautState
+
+Array = NDArray[np.float64]
+
+MAX_STEPS = 120  # phi_max: 12 s; the script needs 3 to 7 s
+TARGET_RADIUS = 0.10  # m, an arm end is in its target area within this; the plate is 0.15 m wide
+LIFT_HEIGHT = 0.20  # m, transport height: over every rock of the work area (at most 0.17 m above ground)
+LIFT_TILT = math.radians(30.0)  # "attitude kept": the body's long axis within this of level as at rest ...
+LIFT_ROLL = math.radians(75.0)  # ... and rolled about it by less: who lay on a side may settle onto the back in the arms
+BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight up
+HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
+LOST_TILT, LOST_ROLL = math.radians(60.0), math.radians(110.0)  # a lift beyond either has dropped the astronaut
+LOST_DISTANCE = {1: 0.6, 2: 1.6}  # m, centre of gravity from its start; beyond it the arms cannot follow (by process)
+SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the reward functions want them
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts that decide about success, asked for only when the pose is right.
+
+    Attributes:
+        ground: Astronaut touches the ground.
+        arms: Arm A and arm B press against the astronaut (2,).
+    """
+
+    ground: bool
+    arms: tuple[bool, bool]
+
+
+class Task:
+    """What the second process wants; one instance an episode."""
+
+    name: str
+
+    def __init__(self, start: AstronautState) -> None:
+        """Remember the pose at rest."""
+        self.start = start
+
+    def pose_error(self, state: AstronautState) -> float:
+        """Distance of the pose from the goal pose, positive; about 1 at the start of the second process."""
+        raise NotImplementedError  # pragma: no cover
+
+    def pose_reached(self, state: AstronautState) -> bool:
+        """Whether pose and centre of gravity are in the target state, contacts aside."""
+        raise NotImplementedError  # pragma: no cover
+
+    def contacts_right(self, contacts: Contacts) -> bool:
+        """Whether the pose is held the way the task wants it."""
+        raise NotImplementedError  # pragma: no cover
+
+    def failure(self, state: AstronautState, process: int) -> str | None:
+        """A word for what went wrong beyond repair, or None."""
+        moved = state.centre - self.start.centre
+        if math.hypot(moved[0], moved[1]) > LOST_DISTANCE[process]:
+            return "out_of_reach"
+        return None
+
+
+class Lift(Task):
+    """Centre of gravity raised to transport height, attitude kept, off the ground, carried by both arms."""
+
+    name = "lift"
+
+    def rise(self, state: AstronautState) -> float:
+        """Height gained by the centre of gravity [m]."""
+        return float(state.centre[2] - self.start.centre[2])
+
+    def tilt(self, state: AstronautState) -> float:
+        """Change of the long axis' inclination since the start [rad]."""
+        return abs(_asin(state.rotation[2, 2]) - _asin(self.start.rotation[2, 2]))
+
+    def roll(self, state: AstronautState) -> float:
+        """Change of the front's elevation since the start [rad], which is the roll about a level long axis."""
+        return abs(_asin(state.front_up) - _asin(self.start.front_up))
+
+    def pose_error(self, state: AstronautState) -> float:
+        """Missing height in units of the transport height, plus tilt and roll beyond what is allowed [rad]."""
+        missing = max(0.0, LIFT_HEIGHT - self.rise(state)) / LIFT_HEIGHT
+        beyond = max(0.0, self.tilt(state) - LIFT_TILT) + max(0.0, self.roll(state) - LIFT_ROLL)
+        return SMALLEST_ERROR + missing + beyond
+
+    def pose_reached(self, state: AstronautState) -> bool:
+        """High enough, level enough."""
+        return self.rise(state) >= LIFT_HEIGHT and self.tilt(state) <= LIFT_TILT and self.roll(state) <= LIFT_ROLL
+
+    def contacts_right(self, contacts: Contacts) -> bool:
+        """Both arms carry and nothing else does."""
+        return not contacts.ground and all(contacts.arms)
+
+    def failure(self, state: AstronautState, process: int) -> str | None:
+        """Also lost when the body tilts or rolls out of the arms."""
+        if self.tilt(state) > LOST_TILT or self.roll(state) > LOST_ROLL:
+            return "attitude_lost"
+        return super().failure(state, process)
+
+
+class TurnOver(Task):
+    """Rolled onto the back, lying on the ground."""
+
+    name = "turn_over"
+
+    def pose_error(self, state: AstronautState) -> float:
+        """Angle still to roll [rad]."""
+        return SMALLEST_ERROR + max(0.0, math.acos(min(1.0, max(-1.0, state.front_up))) - BACK_ANGLE)
+
+    def pose_reached(self, state: AstronautState) -> bool:
+        """Front up."""
+        return state.front_up >= math.cos(BACK_ANGLE)
+
+    def contacts_right(self, contacts: Contacts) -> bool:
+        """The ground bears the astronaut."""
+        return contacts.ground
+
+
+def _asin(sine: float) -> float:
+    return math.asin(min(1.0, max(-1.0, sine)))
+
+
+TASK_TYPES: dict[str, type[Task]] = {task.name: task for task in (Lift, TurnOver)}
