@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -23,7 +24,9 @@ from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS, SMALLEST_ERROR, TARGET_RAD
 Array = NDArray[np.float64]
 ENVIRONMENT_VERSION = "0.1"
 SEED_BITS = 2**31 - 1
-RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from an arm end, to see whether the body is above it
+RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
+PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
+PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
 REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
 
 
@@ -40,7 +43,7 @@ class Episode:
     order: list[int]  # which target belongs to arm A and arm B
     robot: RobotState
     body: AstronautState
-    best: Array  # D_m (2,)
+    recent: deque[Array]  # distances (2,) of the last steps; their least is D_m
     process: int = 1
     held: int = 0
     steps: int = 0
@@ -180,8 +183,8 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
         observer = Observer(scene, self.robot, targets)
         task = TASK_TYPES[scene.task](astronaut.start)
-        best = _lengths(robot.ends - targets[order])
-        return Episode(scene, astronaut, task, observer, rocks, marks, order, robot, body, best)
+        recent = deque([_lengths(robot.ends - targets[order])], maxlen=self.weights.memory)
+        return Episode(scene, astronaut, task, observer, rocks, marks, order, robot, body, recent)
 
     def _observe(self, action: Array) -> NDArray[np.float32]:
         e = self.episode
@@ -195,11 +198,12 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         e.rock_contact = e.rock_contact or touches
         distance = _lengths(e.robot.ends - e.targets()) if e.process == 1 else np.full(2, e.task.pose_error(e.body))
         terms = self._terms(e, distance, clearance, moved, touches)
-        e.best = np.minimum(e.best, distance)
+        e.recent.append(distance)
         if e.process == 1 and self._both_under(e, distance):
             terms["both_arms_under"] = self.weights.both_arms_under
             e.process, e.under_at = 2, e.steps
-            e.best = np.full(2, e.task.pose_error(e.body))
+            e.recent.clear()
+            e.recent.append(np.full(2, e.task.pose_error(e.body)))
         success = self._succeeds(e)
         failure = None if success else self._fails(e, touches)
         if success:
@@ -216,7 +220,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             else w.contact * rewards.contact(touches)
         )
         return {
-            "approach": rewards.approach(e.best, distance, beta=w.beta, form=w.form),
+            "approach": rewards.approach(np.min(e.recent, axis=0), distance, beta=w.beta, form=w.form),
             "obstacle_avoidance": obstacle,
             "joint_motion": rewards.joint_motion(moved, varphi=w.varphi),
             "time_bonus": 0.0,
@@ -239,7 +243,13 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         """Process 1: both ends in their target areas, with the astronaut above them."""
         if e.rock_contact or np.any(distance > TARGET_RADIUS):
             return False
-        return all(self.simulation.ray_hits(end + [0, 0, 0.03], end + RAY, e.astronaut.handle) for end in e.robot.ends)
+        return all(map(self._is_under, e.robot.ends, e.robot.directions))
+
+    def _is_under(self, end: Array, direction: Array) -> bool:
+        """Whether the body is straight above some point along the plate."""
+        handle = self.episode.astronaut.handle
+        points = (end + along * direction + PLATE_TOP for along in PLATE_POINTS)
+        return any(self.simulation.ray_hits(point, point + RAY, handle) for point in points)
 
     def _succeeds(self, e: Episode) -> bool:
         """Process 2: the pose held for ``HOLD_STEPS``, after process 1."""

@@ -104,17 +104,20 @@ def contact(in_contact: bool) -> float:
 class RewardWeights:
     """Weight of each term, under the term's name; the paper gives none of them."""
 
-    beta: float = 1.0
+    beta: float = 2.0
     """Approach term, both processes."""
+    memory: int = 1
+    """D_m is the best distance of the last so many steps. Over a whole episode (a large number) every step away from
+    the best costs again and again, and policies learnt to end episodes early (tried, see the training log)."""
     rho: float = 0.02
-    """AAPF term: about a tenth of the approach term near a rock, so that it steers and does not stop."""
-    xi: float = 0.05
+    """AAPF term; with ``xi`` it stays under a tenth of the approach term unless a joint is near a rock."""
+    xi: float = 0.01
     """AAPF length scale [m]."""
     varphi: float = 0.005
     """Joint-motion term [1/rad]."""
     time_bonus: float = 5.0
     """Factor on the time bonus, so that finishing is worth more than any dwelling."""
-    both_arms_under: float = 1.0
+    both_arms_under: float = 2.0
     """Once, when process 1 is completed; not in the paper."""
     failure: float = 2.0
     """Subtracted once when an episode ends in a failure other than the time limit; not in the paper."""
@@ -130,5 +133,8 @@ class RewardWeights:
             if field.name == "form":
                 if value not in ("literal", "signed"):
                     raise ValueError(f"RewardWeights.form: expected 'literal' or 'signed', got {value!r}")
+            elif field.name == "memory":
+                if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                    raise ValueError(f"RewardWeights.memory: expected an integer >= 1, got {value!r}")
             elif not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"RewardWeights.{field.name}: expected a finite number >= 0, got {value!r}")

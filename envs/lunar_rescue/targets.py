@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 PLATE_HALF_WIDTH = 0.12  # m, half the plate's width (0.075) and room for not coming in quite squarely
 NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; arms reach no further apart
 PREFERRED = 0.42  # m, a span of 0.84 m suits shoulders 0.72 m apart
+COVER = 0.06  # m, the body must reach this near to straight above a target
 HIGHEST = 0.05  # m, a target lies no higher above the ground than this
 
 #: How far short of the body's long axis the target lies. Lifting wants the plates under the centre; turning over wants
@@ -75,5 +76,8 @@ def _candidate(s: float, along: Array, towards: Array, height: Array, depth: flo
     strip = (np.abs(along - s) < PLATE_HALF_WIDTH) & (towards > depth - 0.10)
     clearance = float(height[strip].min()) if strip.any() else 0.3
     edge = float(towards[strip].max()) if strip.any() else depth
+    above = (np.abs(along - s) < COVER) & (np.abs(towards - depth) < COVER)
+    if not above.any():
+        return -1.0, s, clearance, edge  # a gap, between the legs say, is not under the body
     score = min(clearance, 0.14) - 0.12 * abs(abs(s) - PREFERRED) - 0.25 * edge
     return score, s, clearance, edge

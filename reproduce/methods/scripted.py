@@ -54,14 +54,24 @@ THEN = {
         WayPoint((-0.06, 0.0, 0.36), 10, 14, 14),
         WayPoint((-0.08, 0.0, 0.55), 12, 0, 60),
     ),
-    "turn_over": (
+    # From face down: under the near half, up and away, then out of the way.
+    "turn_over prone": (
         WayPoint((0.05, 0.0, 0.25), 10, 45, 12),
         WayPoint((0.20, 0.0, 0.50), 10, 42, 12),
         WayPoint((0.32, 0.0, 0.55), 10, 38, 12),
         WayPoint((0.00, 0.0, 0.20), 0, 35, 25),
         WayPoint((-0.30, 0.0, 0.10), 0, 10, 60),
     ),
+    # From a side: push on low with the waist, so that the body rolls over its far edge. Found by random search.
+    "turn_over side": (
+        WayPoint((0.02, 0.0, 0.26), 2, 54, 12),
+        WayPoint((0.24, 0.0, 0.08), 12, 60, 12),
+        WayPoint((0.05, 0.0, 0.58), 18, -7, 12),
+        WayPoint((-0.05, 0.0, 0.42), 12, 5, 25),
+        WayPoint((-0.51, 0.0, 0.03), 12, 0, 60),
+    ),
 }
+SIDE_FRONT = 0.75  # lying on a side, the front points up or down by less than this sine
 
 
 @dataclass
@@ -92,8 +102,7 @@ class ScriptedPolicy:
     def _one(self, index: int, row: NDArray[np.float32], start: bool) -> Array:
         if start or index not in self._memories:
             targets = row[SLICES["P_G"]][:6].reshape(2, 3).astype(np.float64)
-            task = "lift" if row[SLICES["I"]][0] > 0.5 else "turn_over"
-            self._memories[index] = _Memory(targets, GET_UNDER + THEN[task])
+            self._memories[index] = _Memory(targets, GET_UNDER + THEN[_kind(row)])
         memory = self._memories[index]
         angles = np.concatenate([row[SLICES["P_A"]][:5], row[SLICES["P_B"]][:5], row[SLICES["P_W"]][:1]])
         wanted = _to_action(memory.joints)
@@ -104,6 +113,14 @@ class ScriptedPolicy:
             memory.joints = _solve(memory.targets, memory.points[memory.index], memory.joints)
         memory.left -= 1
         return _to_action(memory.joints)
+
+
+def _kind(row: NDArray[np.float32]) -> str:
+    """Which way-points suit the task and the attitude that the robot sees."""
+    if row[SLICES["I"]][0] > 0.5:
+        return "lift"
+    front_up = row[SLICES["P_P"]][5]
+    return "turn_over side" if abs(front_up) < SIDE_FRONT else "turn_over prone"
 
 
 def _to_action(joints: Array) -> Array:

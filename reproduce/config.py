@@ -1,0 +1,147 @@
+"""Configuration: frozen dataclasses, a sentence under each field, and presets as values (no code)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lunar_rescue.rewards import ApproachForm, RewardWeights
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """One recurrent PPO learner."""
+
+    n_steps: int = 128
+    """Environment steps a rollout and environment. ML-Agents' default buffer is 640; shorter updates more often."""
+    batch_size: int = 512
+    """Transitions a minibatch; ML-Agents' default is 1024."""
+    n_epochs: int = 4
+    """Passes over a rollout; ML-Agents' default is 3."""
+    learning_rate: float = 3.0e-4
+    """Falls linearly to ``final_learning_rate``; ML-Agents' default start."""
+    final_learning_rate: float = 3.0e-5
+    """Learning rate at the last step; ML-Agents falls to 1e-10."""
+    gamma: float = 0.99
+    """Discount; paper, section 4.1."""
+    gae_lambda: float = 0.95
+    """Lambda of the advantage estimate; ML-Agents' default."""
+    clip_range: float = 0.2
+    """epsilon, acceptable difference of old and new policy; paper, section 4.1."""
+    ent_coef: float = 1.0e-4
+    """Entropy weight; paper beta = 1e-3 on a mean over action dimensions, about beta / n_actions on SB3's sum."""
+    vf_coef: float = 0.5
+    """Weight of the value loss; SB3's default."""
+    max_grad_norm: float = 0.5
+    """Gradient clipping; SB3's default, ML-Agents has none."""
+    hidden_units: int = 128
+    """Units of each layer and of the LSTM; paper, section 4.1 ("128 hidden layers")."""
+    sequence_length: int = 32
+    """Steps through time in a gradient; ML-Agents' default is 64."""
+    log_std_init: float = -1.1
+    """Logarithm of the initial standard deviation; the equal of ML-Agents' clamp(x, -3, 3) / 3."""
+
+
+@dataclass(frozen=True)
+class HierarchyConfig:
+    """What only the two-layer method has."""
+
+    interval: int = 5
+    """N, steps between sub-goals (0.5 s); the paper leaves it open."""
+    beta: float = 1.0
+    """Weight of INR's approach term, towards the sub-goal."""
+    form: ApproachForm = "signed"
+    """Form of INR's approach term."""
+    warmup: float = 0.0
+    """Share of the steps in which LLN alone learns, on sub-goals that the untrained SGN draws."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """One training, complete."""
+
+    steps: int
+    """Environment steps of all environments together, as the paper counts them."""
+    n_envs: int = 16
+    """Parallel agents; paper, section 4.1."""
+    checkpoint_every: int = 25
+    """Updates between checkpoints; environments begin anew there, so that a resumed run repeats bit for bit."""
+    low: LearnerConfig = field(default_factory=LearnerConfig)
+    """LLN, or the only level of a flat method."""
+    high: LearnerConfig = field(default_factory=LearnerConfig)
+    """SGN; its rollout is what it decided during LLN's."""
+    hierarchy: HierarchyConfig = field(default_factory=HierarchyConfig)
+    """What only the two-layer method has."""
+    reward: RewardWeights = field(default_factory=RewardWeights)
+    """Weights of the environment's reward, which is EXR."""
+    obstacle_reward: str = "aapf"
+    """``"aapf"`` or, in the ablation, ``"contact"``."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        for name in ("steps", "n_envs", "checkpoint_every"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+
+
+def to_dict(config: TrainingConfig) -> dict[str, Any]:
+    """The configuration as plain data."""
+    return dataclasses.asdict(config)
+
+
+def from_dict(raw: Any) -> TrainingConfig:
+    """Read a configuration back; ``ValueError`` names an unknown or missing field or a wrong type."""
+    return _build(TrainingConfig, raw, "config")  # type: ignore[no-any-return]
+
+
+_NESTED: dict[str, type] = {
+    "low": LearnerConfig,
+    "high": LearnerConfig,
+    "hierarchy": HierarchyConfig,
+    "reward": RewardWeights,
+}
+
+
+def _build(cls: type, raw: Any, where: str) -> Any:
+    if not isinstance(raw, dict):
+        raise ValueError(f"{where}: expected an object, got {type(raw).__name__}")
+    known = {f.name: str(f.type) for f in dataclasses.fields(cls)}
+    unknown, missing = sorted(set(raw) - set(known)), sorted(set(known) - set(raw))
+    if unknown or missing:
+        raise ValueError(f"{where}: unknown {unknown}, missing {missing}")
+    values = {}
+    for name, value in raw.items():
+        if name in _NESTED:
+            values[name] = _build(_NESTED[name], value, f"{where}.{name}")
+        else:
+            values[name] = _plain(value, known[name], f"{where}.{name}")
+    return cls(**values)
+
+
+def _plain(value: Any, kind: str, where: str) -> Any:
+    wanted = {"int": (int,), "float": (int, float), "str": (str,), "ApproachForm": (str,)}[kind]
+    finite = not isinstance(value, float) or math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, wanted) or not finite:
+        raise ValueError(f"{where}: expected {kind}, got {value!r}")
+    return value
+
+
+_LAPTOP = TrainingConfig(
+    steps=1_500_000,
+    high=LearnerConfig(batch_size=256, sequence_length=16, ent_coef=2.0e-4, log_std_init=-1.0),
+)
+
+#: Presets by name. ``laptop`` made the reference runs; ``paper`` has the paper's numbers where it gives them.
+PRESETS: dict[str, TrainingConfig] = {
+    "smoke": replace(_LAPTOP, steps=8_192, n_envs=8, low=LearnerConfig(n_steps=64, batch_size=256)),
+    "laptop": _LAPTOP,
+    "paper": replace(
+        _LAPTOP,
+        steps=700_000_000,
+        low=LearnerConfig(n_steps=640, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64),
+        high=LearnerConfig(n_steps=640, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64),
+    ),
+}

@@ -1,0 +1,107 @@
+"""Acting with a trained two-layer policy: batched over environments, both memories kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+
+from reproduce.hrl.networks import RecurrentNetwork
+from reproduce.hrl.subgoals import SUBGOAL_SIZE, Anchors, lln_observations
+from reproduce.policy import Actions, Observations
+
+
+class Memory:
+    """LSTM states of one network for several environments."""
+
+    def __init__(self, network: RecurrentNetwork, count: int) -> None:
+        """Start empty."""
+        self.network = network
+        hidden = network.lstm_actor.hidden_size
+        self._h, self._c = th.zeros(1, count, hidden), th.zeros(1, count, hidden)
+
+    def act(self, observations: NDArray[np.float32], rows: NDArray[np.int64], deterministic: bool) -> NDArray[np.float32]:
+        """Actions for some of the environments."""
+        index = th.from_numpy(rows)
+        with th.no_grad():
+            distribution, (h, c) = self.network.get_distribution(
+                th.from_numpy(observations), (self._h[:, index], self._c[:, index]), th.zeros(len(rows))
+            )
+            self._h[:, index], self._c[:, index] = h, c
+            chosen: NDArray[np.float32] = distribution.get_actions(deterministic=deterministic).numpy()
+        return np.clip(chosen, -1.0, 1.0)
+
+    def forget(self, starts: NDArray[np.bool_]) -> None:
+        """Empty the memory of environments that begin an episode."""
+        which = th.from_numpy(np.asarray(starts, bool))
+        self._h[:, which] = 0.0
+        self._c[:, which] = 0.0
+
+
+class HierarchicalPolicy:
+    """SGN every N steps, LLN every step (deterministic unless told otherwise)."""
+
+    def __init__(self, sgn: RecurrentNetwork, lln: RecurrentNetwork, interval: int, deterministic: bool = True) -> None:
+        """Keep the networks.
+
+        Args:
+            sgn: High level.
+            lln: Low level.
+            interval: N.
+            deterministic: Whether both act by their means.
+        """
+        self._networks = (sgn, lln)
+        self._interval, self._deterministic = interval, deterministic
+        self._count = 0
+
+    def _begin(self, count: int) -> None:
+        self._count = count
+        self._sgn, self._lln = (Memory(network, count) for network in self._networks)
+        self._anchors = Anchors(count)
+        self._left = np.zeros(count, np.int64)
+        self._subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``Policy.act``."""
+        if len(observations) != self._count:
+            self._begin(len(observations))
+        self._sgn.forget(starts)
+        self._lln.forget(starts)
+        self._left[starts] = 0
+        self._anchors.update(observations, starts)
+        rows = np.flatnonzero(self._left <= 0)
+        if len(rows):
+            outputs = np.zeros_like(self._subgoals)
+            outputs[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
+            self._subgoals[rows] = self._anchors.subgoals(outputs)[rows]
+            self._left[rows] = self._interval
+        view = lln_observations(observations, self._subgoals, (self._left / self._interval).astype(np.float32))
+        self._left -= 1
+        return self._lln.act(view, np.arange(len(observations)), self._deterministic)
+
+    def overlay(self) -> dict[str, NDArray[Any]]:
+        """The sub-goals in the base frame, (n, 2, 3) [m]."""
+        return {"sub-goal": self._subgoals.reshape(-1, 2, 3).copy()}
+
+
+class FlatPolicy:
+    """One recurrent network, acting every step."""
+
+    def __init__(self, network: RecurrentNetwork, deterministic: bool = True) -> None:
+        """Keep the network."""
+        self._network, self._deterministic = network, deterministic
+        self._memory: Memory | None = None
+        self._count = 0
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``Policy.act``."""
+        if self._memory is None or len(observations) != self._count:
+            self._memory, self._count = Memory(self._network, len(observations)), len(observations)
+        self._memory.forget(starts)
+        return self._memory.act(observations, np.arange(len(observations)), self._deterministic)
+
+    def overlay(self) -> dict[str, NDArray[Any]]:
+        """Nothing to draw."""
+        return {}

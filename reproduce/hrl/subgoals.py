@@ -1,0 +1,66 @@
+"""Sub-goals: the one metric space in which SGN commands and LLN obeys (section 2.2, point 2).
+
+A sub-goal is a wanted position of the two arm ends in the robot's base frame. SGN's tanh-bounded output moves it by at
+most ``REACH`` from an anchor: the target areas as they are now (process 1), or as they were when both arms had got
+under (process 2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.observation import SIZE, SLICES
+
+Floats = NDArray[np.float32]
+
+SUBGOAL_SIZE = 6  # two arm ends in three dimensions
+REACH = 0.5  # m, furthest that a sub-goal lies from its anchor along each axis
+LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
+
+_END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
+_END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
+_TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
+_PROCESS_2 = SLICES["phase"].start
+
+
+def arm_ends(observations: Floats) -> Floats:
+    """The two arm ends from flat observations (n, SIZE), as (n, 6) [m]."""
+    return np.concatenate([observations[:, _END_A], observations[:, _END_B]], axis=1)
+
+
+def targets(observations: Floats) -> Floats:
+    """The two target areas P_G, (n, 6) [m]."""
+    return observations[:, _TARGETS]
+
+
+def in_process_2(observations: Floats) -> NDArray[np.bool_]:
+    """Whether both arms have got under, (n,)."""
+    return observations[:, _PROCESS_2] > 0.5
+
+
+def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
+    """What LLN sees: s_t (with a_{t-1}), the sub-goal, the way to it and the share of N steps left, (n, LLN_SIZE)."""
+    way = subgoals - arm_ends(observations)
+    return np.concatenate([observations, subgoals, way, remaining[:, None]], axis=1).astype(np.float32)
+
+
+class Anchors:
+    """Where sub-goals are measured from, for several environments."""
+
+    def __init__(self, count: int) -> None:
+        """Start with nothing known."""
+        self._kept = np.zeros((count, SUBGOAL_SIZE), np.float32)
+        self._was_2 = np.zeros(count, bool)
+
+    def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
+        """Follow the targets in process 1, stay where they were when process 2 began."""
+        now_2 = in_process_2(observations)
+        follow = starts | ~now_2 | ~self._was_2
+        self._kept[follow] = targets(observations)[follow]
+        self._was_2 = now_2
+
+    def subgoals(self, outputs: Floats) -> Floats:
+        """Positions (n, 6) [m] commanded by SGN's outputs (n, 6) in [-1, 1]."""
+        commanded: Floats = self._kept + REACH * np.clip(outputs, -1.0, 1.0)
+        return commanded

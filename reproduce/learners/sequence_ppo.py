@@ -1,0 +1,149 @@
+"""sb3-contrib's RecurrentPPO, its algorithm unchanged, fed whole sequences.
+
+The stock learner loops over time in Python whenever an episode starts inside a padded sequence. Here sequences are cut
+at episode starts, so one fused LSTM call serves a minibatch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch as th
+from sb3_contrib import RecurrentPPO
+from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
+from stable_baselines3.common.utils import explained_variance
+from torch.nn import functional
+
+from reproduce.learners.sequences import Minibatch, Rollout, minibatches, sequence_bounds
+
+
+class SequencePPO(RecurrentPPO):
+    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM."""
+
+    def __init__(self, *args: Any, sequence_length: int = 32, **kwargs: Any) -> None:
+        """As RecurrentPPO.
+
+        Args:
+            *args: See ``RecurrentPPO``.
+            sequence_length: Most steps that the gradient flows back through time.
+            **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
+        """
+        if sequence_length < 1:
+            raise ValueError(f"sequence_length: expected at least 1, got {sequence_length!r}")
+        self.sequence_length = sequence_length
+        #: Set to train on transitions that were collected elsewhere (the high level collects in its wrapper).
+        self.external_rollout: Rollout | None = None
+        super().__init__(*args, **kwargs)
+        self.batch_rng = np.random.default_rng(self.seed)
+
+    def rollout(self) -> Rollout:
+        """The transitions to train on, environments end to end."""
+        if self.external_rollout is not None:
+            return self.external_rollout
+        buffer = self.rollout_buffer
+        assert isinstance(buffer, RecurrentRolloutBuffer)
+        steps, envs = buffer.buffer_size, buffer.n_envs
+        starts = buffer.episode_starts.astype(bool)
+        bounds = [b for i in range(envs) for b in sequence_bounds(starts[:, i], i * steps, self.sequence_length)]
+        hidden = np.stack([buffer.hidden_states_pi[:, 0], buffer.cell_states_pi[:, 0]], axis=2)  # (t, n, 2, h)
+        # An episode begins with an empty memory, whatever the state before it was.
+        hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
+        return Rollout(
+            observations=_env_major(buffer.observations),
+            actions=_env_major(buffer.actions),
+            log_probs=_env_major(buffer.log_probs),
+            values=_env_major(buffer.values),
+            advantages=_env_major(buffer.advantages),
+            returns=_env_major(buffer.returns),
+            hidden=_env_major(hidden),
+            bounds=np.array(bounds, dtype=np.int64),
+        )
+
+    def train(self) -> None:
+        """Take ``n_epochs`` passes over the rollout; losses as in RecurrentPPO."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        rollout = self.rollout()
+        tensors = {
+            name: th.from_numpy(getattr(rollout, name))
+            for name in ("actions", "log_probs", "values", "advantages", "returns")
+        }
+        logs: list[dict[str, float]] = []
+        for _ in range(self.n_epochs):
+            for batch in minibatches(rollout, self.batch_size or len(rollout), self.batch_rng):
+                loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in tensors.items()})
+                logs.append(log)
+                if self.target_kl is not None and log["approx_kl"] > 1.5 * self.target_kl:
+                    break
+                self.policy.optimizer.zero_grad()
+                loss.backward()
+                th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+                self.policy.optimizer.step()
+            else:
+                self._n_updates += 1
+                continue
+            break
+        self._record(rollout, logs)
+
+    def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
+        """PPO's loss of one minibatch and what is worth logging."""
+        progress = self._current_progress_remaining
+        clip = self.clip_range(progress)  # type: ignore[operator]
+        values, log_prob, entropy = self.evaluate_sequences(batch, data["actions"])
+        advantages = data["advantages"]
+        if self.normalize_advantage:
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        ratio = th.exp(log_prob - data["log_probs"])
+        policy_loss = -th.min(advantages * ratio, advantages * th.clamp(ratio, 1 - clip, 1 + clip)).mean()
+        predicted = values
+        if self.clip_range_vf is not None:
+            most = self.clip_range_vf(progress)  # type: ignore[operator]
+            predicted = data["values"] + th.clamp(values - data["values"], -most, most)
+        value_loss = functional.mse_loss(data["returns"], predicted)
+        entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
+        loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
+        with th.no_grad():
+            log_ratio = log_prob - data["log_probs"]
+            log = {
+                "loss": float(loss),
+                "policy_gradient_loss": float(policy_loss),
+                "value_loss": float(value_loss),
+                "entropy_loss": float(entropy_loss),
+                "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
+                "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
+            }
+        return loss, log
+
+    def evaluate_sequences(
+        self, batch: Minibatch, actions: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
+        """Values, log probabilities and entropies of the real transitions of a minibatch, one LSTM call."""
+        policy = self.policy
+        features = policy.extract_features(batch.observations.flatten(0, 1))
+        pi_features, vf_features = (features, features) if policy.share_features_extractor else features
+        length, count = batch.mask.shape
+        memory, _ = policy.lstm_actor(pi_features.view(length, count, -1), batch.hidden)
+        memory = memory[batch.mask]
+        if policy.lstm_critic is not None:
+            raise ValueError("SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic")
+        if policy.shared_lstm:
+            latent_vf = memory.detach()
+        else:
+            latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
+        distribution = policy._get_action_dist_from_latent(policy.mlp_extractor.forward_actor(memory))
+        values = policy.value_net(policy.mlp_extractor.forward_critic(latent_vf)).flatten()
+        return values, distribution.log_prob(actions), distribution.entropy()
+
+    def _record(self, rollout: Rollout, logs: list[dict[str, float]]) -> None:
+        for name in logs[0]:
+            self.logger.record(f"train/{name}", float(np.mean([log[name] for log in logs])))
+        self.logger.record("train/explained_variance", float(explained_variance(rollout.values, rollout.returns)))
+        self.logger.record("train/std", float(th.exp(self.policy.log_std).mean()))
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+def _env_major(array: Any) -> Any:
+    """(t, n, ...) to (n * t, ...), float32, each environment's steps together."""
+    swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
+    return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))

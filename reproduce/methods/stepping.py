@@ -1,0 +1,79 @@
+"""What the trainings of all methods share: environments, schedules, summaries of episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from reproduce.config import TrainingConfig
+from reproduce.sampling import EnvOptions, WorkerVecEnv
+
+
+def make_environments(config: TrainingConfig, seed: int) -> WorkerVecEnv:
+    """The environments of a training."""
+    arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
+    return WorkerVecEnv(config.n_envs, seed, EnvOptions(arguments))
+
+
+def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
+    """Reset the learner's environments and memory, as ``learn`` does before it collects."""
+    learner._last_obs = None
+    _, made = learner._setup_learn(steps, callback, reset_num_timesteps=callback is None)
+    if hasattr(learner, "_last_lstm_states"):
+        for pair in learner._last_lstm_states:
+            for state in pair:
+                state.zero_()
+    return callback or made
+
+
+def follow_schedule(learners: Iterable[BaseAlgorithm], progress: float) -> None:
+    """Tell learners which share of the training is done, for their schedules."""
+    for learner in learners:
+        learner._current_progress_remaining = max(0.0, 1.0 - progress)
+
+
+def episode_summary(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means over the episodes that ended in an update; NaN where none did."""
+
+    def mean(key: str) -> float:
+        return float(np.mean([float(e[key]) for e in episodes])) if episodes else float("nan")
+
+    return {
+        "episodes": len(episodes),
+        "success": mean("is_success"),
+        "both_arms_under": mean("both_arms_under"),
+        "return_high": mean("exr"),
+        "return_low": mean("inr"),
+        "episode_steps": mean("steps"),
+    }
+
+
+class OnlySpaces(VecEnv):
+    """Spaces for a learner whose transitions are collected elsewhere; it is never stepped."""
+
+    def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any], count: int) -> None:
+        """Keep the spaces."""
+        self.render_mode = None
+        super().__init__(count, observation_space, action_space)
+
+    def _never(self, *args: Any, **kwargs: Any) -> Any:
+        raise RuntimeError("OnlySpaces: this learner's transitions are collected by SubGoalVecEnv")
+
+    reset = step_async = step_wait = set_attr = env_method = _never
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Only ``render_mode``, which SB3 asks for."""
+        return [None] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Nothing is wrapped."""
+        return [False] * self.num_envs
