@@ -39,7 +39,11 @@ class AstronautState:
 
 
 class Astronaut:
-    """Builds the body of a scene and reads its state."""
+    """Builds the body of a scene and reads its state.
+
+    Attributes:
+        ways_in: From each target (head's side, feet's side) to the entry before the body, in the world (2, 3) [m].
+    """
 
     def __init__(self, simulation: Simulation, scene: Scene) -> None:
         """Build the body at rest in its posture."""
@@ -50,8 +54,10 @@ class Astronaut:
         centre, rotation = rest_pose(scene)
         simulation.place_suit(self._body, centre, rotation)
         self.start = AstronautState(centre, rotation.as_matrix(), np.zeros(3), np.zeros(3))
-        offsets = target_areas(scene.model, scene.side, scene.task).offsets
-        self._targets = scene.model.rest_rotation().inv().apply(offsets)
+        areas = target_areas(scene.model, scene.side, scene.task)
+        self._targets = scene.model.rest_rotation().inv().apply(areas.offsets)
+        towards = np.array([-np.sin(scene.astronaut_yaw), np.cos(scene.astronaut_yaw), 0.0]) * scene.side
+        self.ways_in = areas.way_in[:, None] * towards
         self._keypoints = keypoints(limbs) - mass_properties(limbs).centre
 
     @property

@@ -27,6 +27,7 @@ SEED_BITS = 2**31 - 1
 RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
 PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
 PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
+OVER = 0.20  # m; nothing of the body above a target is thinner, so an end higher than this is over the body or outside
 REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
 
 
@@ -53,6 +54,19 @@ class Episode:
     def targets(self) -> Array:
         """P_G of arm A and arm B (2, 3) [m]."""
         return self.astronaut.targets(self.body)[self.order]
+
+    def entries(self) -> Array:
+        """Where the way in to each target begins, before the body, of arm A and arm B (2, 3) [m]."""
+        return self.targets() + self.astronaut.ways_in[self.order]
+
+    def distances(self) -> Array:
+        """D of each arm end to its target area, by a way that does not lead through the body (2,) [m].
+
+        An end that is higher than ``OVER`` above the target must first go to the entry before the body.
+        """
+        ends, targets, entries = self.robot.ends, self.targets(), self.entries()
+        around = _lengths(ends - entries) + _lengths(entries - targets)
+        return np.where(ends[:, 2] > targets[:, 2] + OVER, around, _lengths(ends - targets))
 
 
 class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
@@ -183,20 +197,23 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
         observer = Observer(scene, self.robot, targets)
         task = TASK_TYPES[scene.task](astronaut.start)
-        recent = deque([_lengths(robot.ends - targets[order])], maxlen=self.weights.memory)
-        return Episode(scene, astronaut, task, observer, rocks, marks, order, robot, body, recent)
+        episode = Episode(
+            scene, astronaut, task, observer, rocks, marks, order, robot, body, deque(maxlen=self.weights.memory)
+        )
+        episode.recent.append(episode.distances())
+        return episode
 
     def _observe(self, action: Array) -> NDArray[np.float32]:
         e = self.episode
         phase = np.array([float(e.process == 2), e.steps / self.max_steps])
-        return e.observer.fill(e.robot, e.body, e.targets(), e.astronaut.keypoints(e.body), action, phase)
+        return e.observer.fill(e.robot, e.body, e.targets(), e.entries(), e.astronaut.keypoints(e.body), action, phase)
 
     def _judge(self, e: Episode, moved: Array) -> tuple[dict[str, float], bool, str | None]:
         """Update the episode's memory; return reward terms, success and failure."""
         clearance = self._mark_distances(e)
         touches = self._touches_rock(e, clearance)
         e.rock_contact = e.rock_contact or touches
-        distance = _lengths(e.robot.ends - e.targets()) if e.process == 1 else np.full(2, e.task.pose_error(e.body))
+        distance = e.distances() if e.process == 1 else np.full(2, e.task.pose_error(e.body))
         terms = self._terms(e, distance, clearance, moved, touches)
         e.recent.append(distance)
         if e.process == 1 and self._both_under(e, distance):
@@ -241,7 +258,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def _both_under(self, e: Episode, distance: Array) -> bool:
         """Process 1: both ends in their target areas, with the astronaut above them."""
-        if e.rock_contact or np.any(distance > TARGET_RADIUS):
+        if e.rock_contact or np.any(distance > TARGET_RADIUS + SMALLEST_ERROR):
             return False
         return all(map(self._is_under, e.robot.ends, e.robot.directions))
 

@@ -42,7 +42,7 @@ ENTRIES = (
     Entry("P_A", 21, "arm A (left): 5 angles from q_init [60 deg], 5 speeds [1.5 rad/s], 5 motor torques [limit], end position (3) [m], direction of the plate (3)"),
     Entry("P_B", 21, "arm B (right), the same"),
     Entry("P_W", 3, "waist: angle from its initial value [60 deg], speed [1.5 rad/s], torque [limit]"),
-    Entry("P_G", 12, "target areas of arm A and arm B: position (2 x 3) [m], and from arm end to target (2 x 3) [m]"),
+    Entry("P_G", 18, "target areas of arm A and arm B: position (2 x 3) [m], from arm end to target (2 x 3) [m], from arm end to the entry before the body (2 x 3) [m]"),
     Entry("P_P", 54, "astronaut: centre of gravity (3) [m], front and left axes (6), velocity (3) [m/s], spin (3) [rad/s], 13 key points of the skeleton (39) [m]"),
     Entry("P_E", 5 * MAX_ROCKS, f"obstacles, nearest to the targets first, {MAX_ROCKS} rows: position of the top mark (3) [m], radius of the ring of flank marks [m], present (1 or 0)"),
     Entry("P_R", 4, "robot base in the work area: x, y [m], cos and sin of its heading"),
@@ -102,11 +102,18 @@ class Observer:
         return moved
 
     def fill(
-        self, robot: RobotState, body: AstronautState, targets: Array, skeleton: Array, action: Array, phase: Array
+        self,
+        robot: RobotState,
+        body: AstronautState,
+        targets: Array,
+        entries: Array,
+        skeleton: Array,
+        action: Array,
+        phase: Array,
     ) -> NDArray[np.float32]:
         """Return the flat observation (SIZE,), float32."""
         out = self._template.copy()
-        points = self.to_base(np.concatenate([robot.ends, targets, body.centre[None], skeleton]))
+        points = self.to_base(np.concatenate([robot.ends, targets, entries, body.centre[None], skeleton]))
         turned = np.concatenate([robot.directions, body.rotation[:, :2].T, body.velocity[None], body.spin[None]])
         turned = turned @ self._world_to_base
         angles = (robot.angles - self._robot.initial) / self._robot.window
@@ -116,8 +123,9 @@ class Observer:
             j = arm.joints
             out[SLICES[key]] = np.concatenate([angles[j], speeds[j], torques[j], points[index], turned[index]])
         out[SLICES["P_W"]] = angles[WAIST], speeds[WAIST], torques[WAIST]
-        out[SLICES["P_G"]] = np.concatenate([points[2:4].ravel(), (points[2:4] - points[0:2]).ravel()])
-        out[SLICES["P_P"]] = np.concatenate([points[4], turned[2:6].ravel(), points[5:].ravel()])
+        ends, goals, ways = points[0:2], points[2:4], points[4:6]
+        out[SLICES["P_G"]] = np.concatenate([goals, goals - ends, ways - ends], axis=None)
+        out[SLICES["P_P"]] = np.concatenate([points[6], turned[2:6], points[7:]], axis=None)
         out[SLICES["a_prev"]] = action
         out[SLICES["phase"]] = phase
         return np.clip(out, -BOUND, BOUND).astype(np.float32)

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 PLATE_HALF_WIDTH = 0.12  # m, half the plate's width (0.075) and room for not coming in quite squarely
 NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; arms reach no further apart
 PREFERRED = 0.42  # m, a span of 0.84 m suits shoulders 0.72 m apart
+BEFORE_EDGE = 0.16  # m, the way in begins this far before the body: a plate's tip (0.12 m) and a little room
 COVER = 0.06  # m, the body must reach this near to straight above a target
 HIGHEST = 0.05  # m, a target lies no higher above the ground than this
 
@@ -35,11 +36,13 @@ class TargetAreas:
         offsets: Head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m].
         clearance: Free height under the body on the way in (2,) [m].
         near_edge: How far the body reaches towards the robot beside each target (2,) [m].
+        way_in: Length of the way from in front of the body to each target (2,) [m].
     """
 
     offsets: Array
     clearance: Array
     near_edge: Array
+    way_in: Array
 
 
 def approach_sides(posture: Posture) -> tuple[int, ...]:
@@ -68,7 +71,7 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
     place, clearance, edge = np.array(rows).T
     z = np.minimum(clearance / 2, HIGHEST) - posture.rest_height
     offsets = np.column_stack([place, np.full(2, side * depth), z])
-    return TargetAreas(offsets, clearance, edge)
+    return TargetAreas(offsets, clearance, edge, edge - depth + BEFORE_EDGE)
 
 
 def _candidate(s: float, along: Array, towards: Array, height: Array, depth: float) -> tuple[float, ...]:

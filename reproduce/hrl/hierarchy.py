@@ -2,7 +2,8 @@
 
 LLN sees an ordinary vectorised environment whose observation holds the sub-goal and whose reward is INR, Eq. 2 towards
 the sub-goal. Inside, SGN is asked for a new sub-goal at t = 0, N, 2N, ... of every episode, batched over the
-environments that need one, and its transitions, with EXR summed over the N steps, are recorded for its own learner.
+environments that need one. An episode of LLN's is the N steps to a sub-goal (section 2.2, point 1), so its returns are
+cut there; its memory lives on. SGN's transitions, with EXR summed over the N steps, are recorded for its own learner.
 """
 
 from __future__ import annotations
@@ -121,6 +122,8 @@ class SubGoalVecEnv(VecEnvWrapper):
         hidden = sgn.lstm_actor.hidden_size
         self._hidden = np.zeros((count, 2, hidden), np.float32)
         self.episodes: list[dict[str, Any]] = []
+        #: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
+        self.cuts: list[NDArray[np.bool_]] = []
         self._returns = np.zeros((count, 3))  # EXR, INR, steps of the episode under way
 
     def reset(self) -> Floats:  # type: ignore[override]
@@ -145,7 +148,9 @@ class SubGoalVecEnv(VecEnvWrapper):
         self._left -= 1
         starts = np.asarray(dones, bool)
         self._anchors.update(observations, starts)
-        self._decide(observations, starts | (self._left <= 0), starts)
+        over = starts | (self._left <= 0)
+        self.cuts.append(over)
+        self._decide(observations, over, starts)
         return self._view(observations), inr, dones, infos
 
     def _view(self, observations: Floats) -> Floats:

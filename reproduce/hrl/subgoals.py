@@ -1,8 +1,9 @@
 """Sub-goals: the one metric space in which SGN commands and LLN obeys (section 2.2, point 2).
 
 A sub-goal is a wanted position of the two arm ends in the robot's base frame. SGN's tanh-bounded output moves it by at
-most ``REACH`` from an anchor: the target areas as they are now (process 1), or as they were when both arms had got
-under (process 2).
+most ``REACH`` from an anchor: the entries of the ways in, low before the body (process 1), or the target areas as they
+were when both arms had got under (process 2). With the target areas themselves as anchors, an untrained SGN sends the
+arms straight at them and onto the body, and learning starts in a trap (tried, see the training log).
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from lunar_rescue.observation import SIZE, SLICES
 Floats = NDArray[np.float32]
 
 SUBGOAL_SIZE = 6  # two arm ends in three dimensions
-REACH = 0.5  # m, furthest that a sub-goal lies from its anchor along each axis
+REACH = 0.6  # m, furthest that a sub-goal lies from its anchor along each axis
 LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
 
 _END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
 _END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
 _TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
+_TO_ENTRIES = slice(SLICES["P_G"].start + 12, SLICES["P_G"].start + 18)
 _PROCESS_2 = SLICES["phase"].start
 
 
@@ -32,6 +34,11 @@ def arm_ends(observations: Floats) -> Floats:
 def targets(observations: Floats) -> Floats:
     """The two target areas P_G, (n, 6) [m]."""
     return observations[:, _TARGETS]
+
+
+def entries(observations: Floats) -> Floats:
+    """The entries before the body, (n, 6) [m]."""
+    return observations[:, _TO_ENTRIES] + arm_ends(observations)
 
 
 def in_process_2(observations: Floats) -> NDArray[np.bool_]:
@@ -54,10 +61,11 @@ class Anchors:
         self._was_2 = np.zeros(count, bool)
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
-        """Follow the targets in process 1, stay where they were when process 2 began."""
+        """Follow the entries in process 1, stay where the targets were when process 2 began."""
         now_2 = in_process_2(observations)
-        follow = starts | ~now_2 | ~self._was_2
-        self._kept[follow] = targets(observations)[follow]
+        begins_2 = now_2 & (starts | ~self._was_2)
+        self._kept[~now_2] = entries(observations)[~now_2]
+        self._kept[begins_2] = targets(observations)[begins_2]
         self._was_2 = now_2
 
     def subgoals(self, outputs: Floats) -> Floats:

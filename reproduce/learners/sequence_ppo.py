@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch as th
+from numpy.typing import NDArray
 from sb3_contrib import RecurrentPPO
 from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
@@ -34,6 +35,8 @@ class SequencePPO(RecurrentPPO):
         self.sequence_length = sequence_length
         #: Set to train on transitions that were collected elsewhere (the high level collects in its wrapper).
         self.external_rollout: Rollout | None = None
+        #: After which steps returns are cut although the episode and the memory go on, (n_steps, n_envs).
+        self.return_cuts: NDArray[np.bool_] | None = None
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
 
@@ -49,6 +52,8 @@ class SequencePPO(RecurrentPPO):
         hidden = np.stack([buffer.hidden_states_pi[:, 0], buffer.cell_states_pi[:, 0]], axis=2)  # (t, n, 2, h)
         # An episode begins with an empty memory, whatever the state before it was.
         hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
+        if self.return_cuts is not None:
+            self._cut_returns(buffer, self.return_cuts)
         return Rollout(
             observations=_env_major(buffer.observations),
             actions=_env_major(buffer.actions),
@@ -59,6 +64,21 @@ class SequencePPO(RecurrentPPO):
             hidden=_env_major(hidden),
             bounds=np.array(bounds, dtype=np.int64),
         )
+
+    def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
+        """Advantages and returns anew, with nothing flowing back over a cut."""
+        running = np.zeros(buffer.n_envs, np.float32)
+        # What follows the last step is in the advantages that SB3 computed: A = r + gamma V' - V there.
+        last = buffer.advantages[-1]
+        for t in reversed(range(buffer.buffer_size)):
+            going_on = ~cuts[t]
+            if t == buffer.buffer_size - 1:
+                running = np.where(going_on, last, buffer.rewards[t] - buffer.values[t])
+            else:
+                delta = buffer.rewards[t] + self.gamma * buffer.values[t + 1] * going_on - buffer.values[t]
+                running = delta + self.gamma * self.gae_lambda * going_on * running
+            buffer.advantages[t] = running
+        buffer.returns = buffer.advantages + buffer.values
 
     def train(self) -> None:
         """Take ``n_epochs`` passes over the rollout; losses as in RecurrentPPO."""
@@ -104,12 +124,12 @@ class SequencePPO(RecurrentPPO):
         entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
         loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
         with th.no_grad():
-            log_ratio = log_prob - data["log_probs"]
+            log_ratio = log_prob.detach() - data["log_probs"]
             log = {
-                "loss": float(loss),
-                "policy_gradient_loss": float(policy_loss),
-                "value_loss": float(value_loss),
-                "entropy_loss": float(entropy_loss),
+                "loss": float(loss.detach()),
+                "policy_gradient_loss": float(policy_loss.detach()),
+                "value_loss": float(value_loss.detach()),
+                "entropy_loss": float(entropy_loss.detach()),
                 "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
                 "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
             }
@@ -139,7 +159,7 @@ class SequencePPO(RecurrentPPO):
         for name in logs[0]:
             self.logger.record(f"train/{name}", float(np.mean([log[name] for log in logs])))
         self.logger.record("train/explained_variance", float(explained_variance(rollout.values, rollout.returns)))
-        self.logger.record("train/std", float(th.exp(self.policy.log_std).mean()))
+        self.logger.record("train/std", float(th.exp(self.policy.log_std.detach()).mean()))
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
 

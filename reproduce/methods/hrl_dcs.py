@@ -77,7 +77,9 @@ class HierarchicalTraining:
     def update(self, done: int) -> dict[str, Any]:
         """Collect and learn; ``done`` steps were taken before."""
         follow_schedule(self.learners.values(), done / self.config.steps)
+        self.env.cuts.clear()
         self.lln.collect_rollouts(self.env, self.callback, self.lln.rollout_buffer, self.config.low.n_steps)
+        self.lln.return_cuts = np.array(self.env.cuts)
         self.lln.train()
         high = self.config.high
         rollout = self.env.recorder.rollout(high.gamma, high.gae_lambda, high.sequence_length)

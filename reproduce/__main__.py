@@ -1,0 +1,182 @@
+"""The command line: ``reproduce`` or ``python -m reproduce``."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from reproduce.errors import RunFailedError, UserError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
+)
+
+Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="also write the result to this file")]
+
+
+@app.command()
+def train(
+    method: Annotated[str, typer.Argument(help="a method that learns, such as hrl_dcs")],
+    out: Annotated[Path, typer.Option(help="run folder to write")],
+    preset: Preset = "laptop",
+    seed: Annotated[int, typer.Option(help="seed of networks, scenes and minibatches")] = 0,
+    steps: Annotated[int | None, typer.Option(help="environment steps instead of the preset's")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
+) -> None:
+    """Train a method and write a run folder."""
+    from reproduce.registry import get_method
+    from reproduce.training import train as run
+
+    chosen = get_method(method)
+    config = chosen.config(preset)
+    if steps is not None:
+        if steps < 1:
+            raise UserError(f"--steps: expected at least 1, got {steps}")
+        config = replace(config, steps=steps)
+    if seed < 0:
+        raise UserError(f"--seed: expected at least 0, got {seed}")
+    run(chosen, config, seed, out, preset, resume=resume)
+    typer.echo(f"{out}: trained {method} for {config.steps} steps")
+
+
+@app.command()
+def evaluate(
+    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
+    tests: Annotated[int, typer.Option(help="number of scenes")] = 1000,
+    first_seed: Annotated[int, typer.Option(help="seed of the first scene; test scenes begin at 0")] = 0,
+    json: JsonFile = None,
+) -> None:
+    """Test a policy: success with its interval, by task, posture and failure."""
+    from reproduce.evaluation import evaluate as test
+    from reproduce.files import write_json
+
+    result = test(run, tests, first_seed)
+    if json:
+        write_json(json, result)
+    _print_evaluation(result)
+
+
+def _print_evaluation(result: dict[str, Any]) -> None:
+    rate, low, high = (100 * result[k] for k in ("success_rate", "wilson_low", "wilson_high"))
+    typer.echo(f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]")
+    typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
+    for title, key in (("task", "by_task"), ("posture", "by_posture")):
+        for name, counts in result[key].items():
+            typer.echo(f"  {title} {name}: {counts['successes']} of {counts['tests']}")
+    for word, count in result["failures"].items():
+        typer.echo(f"  failed by {word}: {count}")
+
+
+@app.command()
+def replay(
+    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
+    out: Annotated[Path, typer.Option(help=".mp4, .gif or .png (a strip of pictures)")],
+    seed: Annotated[int, typer.Option(help="seed of the scene")] = 0,
+    posture: Annotated[str | None, typer.Option(help="draw the scene with this posture")] = None,
+    task: Annotated[str | None, typer.Option(help="draw the scene with this task")] = None,
+) -> None:
+    """Show one rescue as a film or a strip of pictures."""
+    from reproduce.replay import replay as show
+
+    row = show(run, seed, out, posture=posture, task=task)
+    ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
+    typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
+
+
+@app.command()
+def notebooks(
+    preset: Preset = "smoke",
+    only: Annotated[str | None, typer.Option(help="number or name of one notebook, such as 02")] = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME")
+    ] = None,
+) -> None:
+    """Run the notebooks with papermill, in order, and build the report."""
+    from reproduce.notebooks import run_notebooks
+
+    report = run_notebooks(preset, only=only, assignments=parameter or [])
+    typer.echo(f"{report}: report written")
+
+
+@app.command()
+def claims(json: JsonFile = None) -> None:
+    """Compute the claims' verdicts, and Table 1, from results/."""
+    from reproduce.claims import compute_claims, print_claims, write_claims
+
+    table = compute_claims()
+    write_claims(table, json)
+    print_claims(table)
+
+
+@app.command()
+def table1() -> None:
+    """Write results/table1.csv from the reference runs."""
+    from reproduce.tables import write_table1
+
+    typer.echo(f"{write_table1()}: written")
+
+
+@app.command()
+def bench(json: JsonFile = None) -> None:
+    """Measure speed, each figure against a peer in the same run."""
+    from reproduce.bench import measure
+    from reproduce.files import write_json
+
+    result = measure()
+    if json:
+        write_json(json, result)
+    for name, value in result.items():
+        typer.echo(f"{name}: {value}")
+
+
+@app.command()
+def methods() -> None:
+    """List the methods of the registry."""
+    from reproduce.registry import METHODS
+
+    for method in METHODS.values():
+        typer.echo(f"{method.name}: {method.about}")
+
+
+def main() -> None:
+    """Run a command; a user's mistake is one line and exit code 2."""
+    if sys.version_info[:2] != (3, 11) or not sys.platform.startswith("linux"):
+        found = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {sys.platform}"
+        sys.exit(_complain(f"needs Python 3.11 on Linux, as PyBullet has no wheels beyond it; this is {found}"))
+    warnings.filterwarnings("ignore", category=UserWarning, module="gymnasium")
+    logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
+    try:
+        code = app(standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        typer.echo(error.format_message())
+        code = 2
+    except click.ClickException as error:
+        code = _complain(error.format_message())
+    except (UserError, ValueError) as error:
+        code = _complain(str(error))
+    except RunFailedError as error:
+        code = _complain(str(error)) and 1
+    except (KeyboardInterrupt, click.Abort):
+        code = _complain("interrupted; an unfinished training goes on with --resume") and 130
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(message: str) -> int:
+    print(f"reproduce: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Tests a policy on scenes by seed, one scene at a time in as many processes as there are cores.
+
+Every method meets the same scenes, and the result of a scene does not depend on which others are tested beside it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from tqdm.auto import tqdm
+
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from reproduce.errors import UserError
+from reproduce.policy import Policy
+from reproduce.provenance import provenance
+from reproduce.registry import METHODS, Method, load_policy
+from reproduce.statistics import summarise
+
+_STATE: dict[str, Any] = {}
+
+
+def find_policy(where: str | Path) -> tuple[Method, Policy]:
+    """The policy of a run folder, or of a method that does not learn by its name."""
+    name = str(where)
+    if name in METHODS and METHODS[name].train is None and not Path(where).exists():
+        return METHODS[name], METHODS[name].act(0)
+    return load_policy(Path(where))
+
+
+def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
+    """One rescue; return how it ended."""
+    observation, info = env.reset_flat(options={"scene": scene})
+    start, total, done = np.array([True]), 0.0, False
+    while not done:
+        action = policy.act(observation[None], start)[0]
+        observation, reward, terminated, truncated, last = env.step_flat(action)
+        start, total, done = np.array([False]), total + reward, terminated or truncated
+    kept = {key: last[key] for key in ("is_success", "both_arms_under", "failure", "task", "posture")}
+    return {"seed": info["scene"].seed, **kept, "steps": env.episode.steps, "return": total, "mass": scene.mass}
+
+
+def _prepare(where: str) -> None:
+    th.set_num_threads(1)
+    _STATE["env"] = LunarRescueEnv()
+    _STATE["policy"] = find_policy(where)[1]
+
+
+def _test(seed: int, posture: str | None, task: str | None) -> dict[str, Any]:
+    if hasattr(_STATE["policy"], "reseed"):
+        _STATE["policy"].reseed(seed)
+    return run_episode(_STATE["env"], _STATE["policy"], sample_scene(seed, posture=posture, task=task))
+
+
+def test_scenes(
+    where: str | Path,
+    tests: int,
+    first_seed: int = 0,
+    workers: int | None = None,
+    quiet: bool = False,
+    posture: str | None = None,
+    task: str | None = None,
+) -> list[dict[str, Any]]:
+    """Test a policy; one row a scene, in the order of seeds.
+
+    Raises:
+        UserError: On numbers out of range or a run folder that does not load.
+    """
+    if tests < 1:
+        raise UserError(f"tests: expected at least 1, got {tests}")
+    if first_seed < 0:
+        raise UserError(f"first seed: expected at least 0, got {first_seed}")
+    find_policy(where)  # a bad run folder fails here, in one line, and not in a worker
+    workers = workers or len(os.sched_getaffinity(0))
+    context = multiprocessing.get_context("forkserver")
+    job = partial(_test, posture=posture, task=task)
+    try:
+        with ProcessPoolExecutor(workers, context, _prepare, (str(where),)) as pool:
+            answers = pool.map(job, range(first_seed, first_seed + tests), chunksize=4)
+            return list(tqdm(answers, total=tests, unit="test", disable=quiet, desc=Path(where).name))
+    except BrokenProcessPool:
+        raise UserError(f"{where}: a test process died") from None
+
+
+def evaluate(where: str | Path, tests: int, first_seed: int = 0, quiet: bool = False) -> dict[str, Any]:
+    """What ``evaluation.json`` holds."""
+    method, _ = find_policy(where)
+    begun = time.monotonic()
+    rows = test_scenes(where, tests, first_seed, quiet=quiet)
+    seconds = time.monotonic() - begun
+    return {
+        "method": method.name,
+        "first_seed": first_seed,
+        **summarise(rows),
+        "mean_return": float(np.mean([row["return"] for row in rows])),
+        "mean_steps": float(np.mean([row["steps"] for row in rows])),
+        "seconds": round(seconds, 2),
+        "seconds_per_test": round(seconds / tests, 4),
+        "origin": provenance(),
+    }

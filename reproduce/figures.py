@@ -1,0 +1,174 @@
+"""Figures of the notebooks; each takes data and returns a Matplotlib figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from lunar_rescue import Scene, postures, rewards, sample_scene
+from lunar_rescue.env import LunarRescueEnv
+from lunar_rescue.rendering import picture
+from lunar_rescue.scene import body_surface
+
+Array = NDArray[np.float64]
+SMOOTHING = 20  # updates in a running mean
+
+sns.set_theme(context="notebook", style="whitegrid")
+
+
+def posture_gallery() -> Figure:
+    """P8: a picture of each of the 20 postures, from the robot's side."""
+    env = LunarRescueEnv(render_mode="rgb_array")
+    try:
+        pictures = []
+        for name in postures():
+            scene = sample_scene(0, posture=name)
+            env.reset(options={"scene": scene})
+            pictures.append((name, picture(env.simulation, scene, (320, 240), turn=70.0)))
+    finally:
+        env.close()
+    return picture_grid(pictures, columns=5)
+
+
+def picture_grid(pictures: Sequence[tuple[str, NDArray[np.uint8]]], columns: int) -> Figure:
+    """Pictures with titles in a grid."""
+    rows = -(-len(pictures) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(2.6 * columns, 2.2 * rows), layout="constrained", squeeze=False)
+    for axis in axes.flat:
+        axis.axis("off")
+    for axis, (title, image) in zip(axes.flat, pictures, strict=False):
+        axis.imshow(image)
+        axis.set_title(title.replace("_", " "), fontsize=9)
+    return figure
+
+
+def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
+    """F4: as many environments as train together, in one picture."""
+    env = LunarRescueEnv(render_mode="rgb_array")
+    try:
+        pictures = []
+        for seed in range(first_seed, first_seed + count):
+            env.reset(options={"scene": sample_scene(seed)})
+            pictures.append((f"agent {seed - first_seed + 1}", picture(env.simulation, env.episode.scene, (320, 240))))
+    finally:
+        env.close()
+    return picture_grid(pictures, columns=4)
+
+
+def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
+    """P5: each term of Eq. 2 over its argument."""
+    figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
+    change = np.linspace(-0.5, 0.5, 201)
+    for form in ("literal", "signed"):
+        values = [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change]  # type: ignore[arg-type]
+        axes[0, 0].plot(change, values, label=form)
+    axes[0, 0].set(title="approach", xlabel="D_m - D [m]", ylabel="reward")
+    axes[0, 0].legend()
+    distance = np.linspace(0.01, 1.0, 200)
+    field = [rewards.obstacle_avoidance(np.array([d]), rho=weights.rho, xi=weights.xi) for d in distance]
+    axes[0, 1].plot(distance, field)
+    axes[0, 1].set(title="obstacle avoidance (AAPF), one joint and one mark", xlabel="D [m]", ylabel="reward")
+    moved = np.linspace(0, 1.6, 50)
+    axes[1, 0].plot(moved, [rewards.joint_motion(np.array([m]), varphi=weights.varphi) for m in moved])
+    axes[1, 0].set(title="joint motion", xlabel="sum of |joint changes| in a step [rad]", ylabel="reward")
+    steps = np.arange(0, max_steps + 1)
+    axes[1, 1].plot(steps, [weights.time_bonus * rewards.time_bonus(s, max_steps) for s in steps])
+    axes[1, 1].set(title="time bonus at completion", xlabel="steps", ylabel="reward", ylim=(0, None))
+    return figure
+
+
+def ground_grid(scene: Scene, half: float = 1.3, cells: int = 121) -> tuple[Array, Array]:
+    """Grid of the ground round the astronaut, (cells, cells) each [m]."""
+    line = np.linspace(-half, half, cells)
+    return np.meshgrid(scene.astronaut_x + line, scene.astronaut_y + line)
+
+
+def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, height: float = 0.05) -> Figure:
+    """F2: the AAPF term of one point moved over the ground, with joints, mark points and the body.
+
+    Args:
+        scene: With at least one rock.
+        joints: Joint positions of both arms (12, 3) [m].
+        weights: For rho and xi.
+        height: Of the moved point above the ground [m].
+    """
+    marks = np.concatenate([rock.marks() for rock in scene.rocks])
+    x, y = ground_grid(scene)
+    points = np.stack([x, y, np.full_like(x, height)], axis=-1)
+    distances = np.linalg.norm(points[:, :, None, :] - marks, axis=-1) + 1e-3
+    field = -weights.rho * np.log((weights.xi / distances).sum(axis=-1) + 1.0)
+    figure, axis = plt.subplots(figsize=(8, 6.5), layout="constrained")
+    mesh = axis.pcolormesh(x, y, field, cmap="magma", shading="auto")
+    figure.colorbar(mesh, ax=axis, label="obstacle avoidance reward of one point")
+    body = body_surface(scene)
+    axis.scatter(*body[::5, :2].T, s=1, color="white", alpha=0.25, label="astronaut")
+    axis.scatter(*marks[:, :2].T, marker="x", color="cyan", label="mark points")
+    for arm, colour in ((joints[:6], "tab:blue"), (joints[6:], "tab:orange")):
+        axis.plot(*arm[:, :2].T, "o-", color=colour)
+    axis.plot([], [], "o-", color="tab:blue", label="arm A: joints and end")
+    axis.plot([], [], "o-", color="tab:orange", label="arm B: joints and end")
+    axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="AAPF over the ground")
+    axis.legend(loc="upper right", fontsize=8, labelcolor="black", facecolor="white", framealpha=0.8)
+    return figure
+
+
+def aapf_against_contact(weights: rewards.RewardWeights, radius: float = 0.1) -> Figure:
+    """The dense AAPF term beside the contact reward as a joint nears a rock of this radius [m]."""
+    gap = np.linspace(-0.02, 0.8, 300)
+    dense = [
+        rewards.obstacle_avoidance(np.array([max(g + radius, 1e-3)]), rho=weights.rho, xi=weights.xi) for g in gap
+    ]
+    sparse = [weights.contact * rewards.contact(bool(g <= 0)) for g in gap]
+    figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
+    axis.plot(gap, dense, label="AAPF: grows on the way")
+    axis.plot(gap, sparse, label="contact reward: says nothing until contact")
+    axis.axvline(0, color="grey", linestyle=":")
+    axis.set(xlabel="gap between joint and rock [m]", ylabel="reward a step")
+    axis.legend()
+    return figure
+
+
+def dwelling_against_finishing(table: pd.DataFrame) -> Figure:
+    """Discounted return of dwelling and of finishing over the step of completion, both forms."""
+    grid = sns.relplot(data=table, x="finish after", y="return", hue="behaviour", col="form", kind="line", height=4)
+    grid.set_axis_labels("steps until the task is completed", "discounted return")
+    return grid.figure
+
+
+def learning_curves(table: pd.DataFrame, columns: dict[str, str], title: str = "") -> Figure:
+    """Curves of one run over env steps, one panel a column (name to label)."""
+    figure, axes = plt.subplots(1, len(columns), figsize=(4.4 * len(columns), 3.6), layout="constrained", squeeze=False)
+    for axis, (column, label) in zip(axes.flat, columns.items(), strict=True):
+        axis.plot(table["env_steps"], table[column], alpha=0.3)
+        axis.plot(table["env_steps"], table[column].rolling(SMOOTHING, min_periods=1).mean(), color="C0")
+        axis.set(xlabel="env steps, all agents", title=label)
+    figure.suptitle(title)
+    return figure
+
+
+def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: str = "env_steps") -> Figure:
+    """F6: one column of several methods against env steps or minutes."""
+    figure, axis = plt.subplots(figsize=(8, 4.5), layout="constrained")
+    for name, table in curves.items():
+        x = table["env_steps"] if by == "env_steps" else table["seconds"] / 60
+        axis.plot(x, table[column].rolling(SMOOTHING, min_periods=1).mean(), label=name)
+    axis.set(xlabel="env steps, all agents" if by == "env_steps" else "minutes", ylabel=label)
+    axis.legend()
+    return figure
+
+
+def success_by_posture(evaluations: dict[str, dict[str, dict[str, int]]]) -> Figure:
+    """Heat map of success over postures (rows) and methods (columns)."""
+    rates = pd.DataFrame(
+        {m: {p: c["successes"] / c["tests"] for p, c in counts.items()} for m, counts in evaluations.items()}
+    ).reindex(list(postures()))
+    figure, axis = plt.subplots(figsize=(2.5 + 1.6 * rates.shape[1], 7), layout="constrained")
+    sns.heatmap(100 * rates, annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis)
+    axis.set(xlabel="", ylabel="")
+    return figure

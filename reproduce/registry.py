@@ -1,0 +1,161 @@
+"""One registry of methods: a name, what it is, how it trains and how it acts. Commands, notebooks and tests loop over it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from lunar_rescue.observation import SIZE
+from lunar_rescue.robot import JOINTS
+from reproduce.config import PRESETS, TrainingConfig
+from reproduce.errors import UserError
+from reproduce.hrl.policy import FlatPolicy, HierarchicalPolicy
+from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE
+from reproduce.learners.sequence_ppo import SequencePPO
+from reproduce.methods.baselines import RandomPolicy
+from reproduce.methods.hrl_dcs import HierarchicalTraining
+from reproduce.methods.ppo_lstm import FlatTraining
+from reproduce.methods.scripted import ScriptedPolicy
+from reproduce.policy import Policy
+from reproduce.run_folder import NetworkSpec, load_networks, read_policy_json, save_policy
+
+
+class Training(Protocol):
+    """A training under way."""
+
+    config: TrainingConfig
+
+    @property
+    def learners(self) -> dict[str, SequencePPO]:
+        """Learners by level."""
+        ...
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update."""
+        ...
+
+    def restart(self, update: int) -> None:
+        """Begin new episodes, as after a checkpoint."""
+        ...
+
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect and learn once; return a row of ``progress.csv``."""
+        ...
+
+    def close(self) -> None:
+        """Stop the environments."""
+        ...
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.
+
+    Attributes:
+        name: As on the command line.
+        title: As in tables.
+        about: One sentence.
+        train: Makes a training from configuration and seed; None for a method that does not learn.
+        act: Makes the policy from a run folder (trained methods) or a seed.
+        sizes: For each level the sizes of observation and action.
+        adapt: Changes a preset's configuration to this method's.
+        paper_success: Success rate in the paper's Table 1, or None.
+    """
+
+    name: str
+    title: str
+    about: str
+    act: Callable[[Any], Policy]
+    train: Callable[[TrainingConfig, int], Training] | None = None
+    sizes: dict[str, tuple[int, int]] | None = None
+    adapt: Callable[[TrainingConfig], TrainingConfig] = lambda config: config
+    paper_success: float | None = None
+
+    def config(self, preset: str) -> TrainingConfig:
+        """This method's configuration in a preset."""
+        if preset not in PRESETS:
+            raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
+        return self.adapt(PRESETS[preset])
+
+
+_TWO_LEVELS = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (LLN_SIZE, JOINTS)}
+_ONE_LEVEL = {"policy": (SIZE, JOINTS)}
+
+
+def _act_hierarchical(folder: Path) -> Policy:
+    interval = read_policy_json(folder).get("interval")
+    if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
+        raise UserError(f"{folder / 'policy.json'}: interval: expected an integer >= 1, got {interval!r}")
+    networks = load_networks(folder, _TWO_LEVELS)
+    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval)
+
+
+def _act_flat(folder: Path) -> Policy:
+    return FlatPolicy(load_networks(folder, _ONE_LEVEL)["policy"])
+
+
+METHODS: dict[str, Method] = {
+    m.name: m
+    for m in (
+        Method("scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()),
+        Method("random", "Random actions", "uniform actions, the floor of every comparison", RandomPolicy),
+        Method(
+            "hrl_dcs",
+            "HRL-DCS",
+            "the paper's method: SGN and LLN, AAPF reward",
+            _act_hierarchical,
+            HierarchicalTraining,
+            _TWO_LEVELS,
+            paper_success=0.986,
+        ),
+        Method(
+            "hrl_dcs_no_aapf",
+            "HRL-DCS w/o AAPF",
+            "the ablation: contact reward in place of the AAPF term, nothing else changed",
+            _act_hierarchical,
+            HierarchicalTraining,
+            _TWO_LEVELS,
+            adapt=lambda config: replace(config, obstacle_reward="contact"),
+            paper_success=0.873,
+        ),
+        Method(
+            "ppo_lstm",
+            "Recurrent PPO",
+            "one recurrent network on the environment's reward; not in the paper",
+            _act_flat,
+            FlatTraining,
+            _ONE_LEVEL,
+        ),
+    )
+}
+
+#: Methods of the paper's Table 1 that the project does not have yet; tables say so.
+PAPER_ONLY: dict[str, tuple[str, float | None]] = {"fun": ("FeUdal Networks", 0.918), "sac": ("SAC", None)}
+
+
+def get_method(name: str) -> Method:
+    """Look a method up; ``UserError`` lists the known ones."""
+    if name not in METHODS:
+        raise UserError(f"method: expected one of {', '.join(METHODS)}; got {name!r}")
+    return METHODS[name]
+
+
+def load_policy(folder: Path) -> tuple[Method, Policy]:
+    """The method and policy of a run folder."""
+    method = get_method(read_policy_json(folder)["method"])
+    return method, method.act(folder)
+
+
+def export_policy(folder: Path, method: Method, training: Training) -> None:
+    """Write what is needed to act."""
+    sizes = method.sizes or {}
+    networks = {}
+    for level, learner in training.learners.items():
+        config = training.config.high if level == "sgn" else training.config.low
+        spec = NetworkSpec(*sizes[level], hidden_units=config.hidden_units, bounded_mean=level == "sgn")
+        networks[level] = (spec, learner.policy)
+    extra = {"interval": training.config.hierarchy.interval} if "sgn" in networks else {}
+    save_policy(folder, method.name, networks, extra)  # type: ignore[arg-type]

@@ -1,0 +1,51 @@
+"""Statistics of success: intervals and groups."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import pandas as pd
+from scipy.stats import binomtest
+
+CONFIDENCE = 0.95
+
+
+def wilson(successes: int, tests: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a success rate; (0, 1) without tests."""
+    if not 0 <= successes <= tests:
+        raise ValueError(f"wilson: expected 0 <= successes <= tests, got {successes} of {tests}")
+    if tests == 0:
+        return 0.0, 1.0
+    interval = binomtest(successes, tests).proportion_ci(confidence_level=CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def intervals_overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    """Whether two intervals share a point."""
+    return first[0] <= second[1] and second[0] <= first[1]
+
+
+def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Success, intervals, groups and failures of tests (rows with is_success, both_arms_under, failure, task, posture)."""
+    tests, successes = len(episodes), sum(bool(e["is_success"]) for e in episodes)
+    low, high = wilson(successes, tests)
+    return {
+        "tests": tests,
+        "successes": successes,
+        "success_rate": successes / tests if tests else 0.0,
+        "wilson_low": low,
+        "wilson_high": high,
+        "both_arms_under": sum(bool(e["both_arms_under"]) for e in episodes) / tests if tests else 0.0,
+        "by_task": count_by(episodes, "task"),
+        "by_posture": count_by(episodes, "posture"),
+        "failures": dict(Counter(str(e["failure"]) for e in episodes if e["failure"] is not None).most_common()),
+    }
+
+
+def count_by(episodes: Iterable[dict[str, Any]], key: str) -> dict[str, dict[str, int]]:
+    """Tests and successes by the value of a key."""
+    table = pd.DataFrame(list(episodes), columns=[key, "is_success"])
+    grouped = table.groupby(key)["is_success"].agg(["size", "sum"])
+    return {str(name): {"tests": int(row["size"]), "successes": int(row["sum"])} for name, row in grouped.iterrows()}

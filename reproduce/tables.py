@@ -1,0 +1,62 @@
+"""Table 1, ours beside the paper's, from the reference runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from reproduce.files import write_atomically
+from reproduce.provenance import record_origin
+from reproduce.registry import METHODS, PAPER_ONLY
+from reproduce.results import RESULTS, reference_runs
+
+COLUMNS = [
+    "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
+    "paper_success_rate",
+]  # fmt: skip
+
+
+def table1(results: Path = RESULTS) -> pd.DataFrame:
+    """A row a method and seed that was evaluated."""
+    rows = []
+    for run in reference_runs(results):
+        if run.evaluation is None:
+            continue
+        counts = {k: run.evaluation[k] for k in ("tests", "successes", "success_rate", "wilson_low", "wilson_high")}
+        paper = METHODS[run.method].paper_success if run.method in METHODS else None
+        origin = {"method": run.method, "seed": run.seed, "env_steps": run.env_steps, "minutes": round(run.minutes, 1)}
+        rows.append({**origin, **counts, "paper_success_rate": paper})
+    return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
+    """Table 1 for people: every method of paper and registry, saying where there is no run."""
+    table = table1(results)
+    titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()} | PAPER_ONLY
+    rows = []
+    for name, (title, paper) in titles.items():
+        mine = table[table["method"] == name]
+        ours = [
+            f"{100 * r.success_rate:.1f} % [{100 * r.wilson_low:.1f}, {100 * r.wilson_high:.1f}]" for r in mine.itertuples()
+        ]
+        rows.append(
+            {
+                "method": title,
+                "paper, 1000 tests": f"{100 * paper:.1f} %" if paper else "-",
+                "ours, success [95 % interval]": ", ".join(ours) or "no run in results/ yet",
+                "tests": ", ".join(str(r.tests) for r in mine.itertuples()),
+                "env steps": ", ".join(f"{r.env_steps:,}" for r in mine.itertuples()),
+                "minutes": ", ".join(f"{r.minutes:.0f}" for r in mine.itertuples()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def write_table1(results: Path = RESULTS) -> Path:
+    """Write ``table1.csv``."""
+    path = results / "table1.csv"
+    table = table1(results)
+    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
+    record_origin(path)
+    return path

@@ -1,0 +1,116 @@
+"""Trains a method into a run folder: progress bar, progress.csv, checkpoints, provenance."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch as th
+from stable_baselines3.common.utils import set_random_seed
+from tqdm.auto import tqdm
+
+from lunar_rescue import ENVIRONMENT_VERSION
+from reproduce.checkpoint import Progress, delete_checkpoint, has_checkpoint, load_checkpoint, save_checkpoint
+from reproduce.config import TrainingConfig, to_dict
+from reproduce.errors import UserError
+from reproduce.files import write_atomically, write_json
+from reproduce.provenance import provenance
+from reproduce.registry import Method, Training, export_policy
+
+THREADS = 1  # for networks of this size one thread is faster than two (measured), and workers need the other core
+
+
+def train(
+    method: Method, config: TrainingConfig, seed: int, folder: Path, preset: str, resume: bool = False, quiet: bool = False
+) -> pd.DataFrame:
+    """Train a method and write its run folder; return the rows of ``progress.csv``.
+
+    Raises:
+        UserError: When the method does not learn, the folder holds a finished run, or there is nothing to resume.
+    """
+    if method.train is None:
+        raise UserError(f"method: {method.name!r} does not learn; evaluate it as it is")
+    _check_folder(folder, resume)
+    complete = {
+        "method": method.name,
+        "preset": preset,
+        "seed": seed,
+        "environment_version": ENVIRONMENT_VERSION,
+        "training": to_dict(config),
+    }
+    th.set_num_threads(THREADS)
+    set_random_seed(seed)
+    training = method.train(config, seed)
+    try:
+        progress, rows = Progress(0, 0, 0.0), []
+        if resume:
+            progress = load_checkpoint(folder, training.learners, complete)
+            rows = _read_rows(folder, progress.update)
+            training.restart(progress.update)
+        write_json(folder / "config.json", complete)
+        rows = _loop(training, complete, folder, progress, rows, quiet, method)
+    finally:
+        training.close()
+    return pd.DataFrame(rows)
+
+
+def _check_folder(folder: Path, resume: bool) -> None:
+    if resume:
+        if not has_checkpoint(folder):
+            raise UserError(f"{folder}: no checkpoint to resume from")
+        return
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"{folder}: expected a folder, found a file")
+    if (folder / "run.json").exists():
+        raise UserError(f"{folder}: holds a finished run; choose another --out")
+    if has_checkpoint(folder):
+        raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
+
+
+def _loop(
+    training: Training,
+    complete: dict[str, Any],
+    folder: Path,
+    progress: Progress,
+    rows: list[dict[str, Any]],
+    quiet: bool,
+    method: Method,
+) -> list[dict[str, Any]]:
+    config = training.config
+    begun = time.monotonic() - progress.seconds
+    steps, update = progress.steps, progress.update
+    with tqdm(total=config.steps, initial=steps, unit="step", unit_scale=True, disable=quiet, desc=method.name) as bar:
+        while steps < config.steps:
+            row = training.update(steps)
+            steps, update = steps + training.steps_per_update, update + 1
+            seconds = time.monotonic() - begun
+            rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
+            bar.update(training.steps_per_update)
+            bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
+            if update % config.checkpoint_every == 0 and steps < config.steps:
+                _write_rows(folder, rows)
+                save_checkpoint(folder, training.learners, Progress(update, steps, seconds), complete)
+                training.restart(update)
+    seconds = time.monotonic() - begun
+    _write_rows(folder, rows)
+    export_policy(folder, method, training)
+    # Written last: a folder with run.json is a finished run.
+    summary = {"method": method.name, "seed": complete["seed"], "preset": complete["preset"]}
+    write_json(folder / "run.json", {**summary, **provenance(), "steps": steps, "seconds": round(seconds, 1)})
+    delete_checkpoint(folder)
+    return rows
+
+
+def _write_rows(folder: Path, rows: list[dict[str, Any]]) -> None:
+    table = pd.DataFrame(rows)
+    write_atomically(folder / "progress.csv", lambda path: table.to_csv(path, index=False, float_format="%.5g"))
+
+
+def _read_rows(folder: Path, updates: int) -> list[dict[str, Any]]:
+    try:
+        table = pd.read_csv(folder / "progress.csv")
+    except (OSError, ValueError) as error:
+        raise UserError(f"{folder / 'progress.csv'}: not readable: {error}") from None
+    return table[table["update"] <= updates].to_dict("records")
