@@ -1,0 +1,1 @@
+"""The method, the experiments and the command line."""

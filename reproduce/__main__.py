@@ -70,7 +70,9 @@ def evaluate(
 
 def _print_evaluation(result: dict[str, Any]) -> None:
     rate, low, high = (100 * result[k] for k in ("success_rate", "wilson_low", "wilson_high"))
-    typer.echo(f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]")
+    typer.echo(
+        f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]"
+    )
     typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
     for title, key in (("task", "by_task"), ("posture", "by_posture")):
         for name, counts in result[key].items():
@@ -100,7 +102,8 @@ def notebooks(
     preset: Preset = "smoke",
     only: Annotated[str | None, typer.Option(help="number or name of one notebook, such as 02")] = None,
     parameter: Annotated[
-        list[str] | None, typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME")
+        list[str] | None,
+        typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME"),
     ] = None,
 ) -> None:
     """Run the notebooks with papermill, in order, and build the report."""

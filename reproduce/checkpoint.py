@@ -41,7 +41,12 @@ class Progress:
 def save_checkpoint(folder: Path, learners: dict[str, SequencePPO], progress: Progress, config: dict[str, Any]) -> None:
     """Write the checkpoint of a training."""
     tensors: dict[str, th.Tensor] = {"torch_rng": th.get_rng_state()}
-    meta: dict[str, Any] = {"version": VERSION, "progress": progress.__dict__, "config": config, "numpy_rng": {}}
+    meta: dict[str, Any] = {
+        "version": VERSION,
+        "progress": progress.__dict__,
+        "config": config,
+        "numpy_rng": {},
+    }
     for level, learner in learners.items():
         for name, tensor in learner.policy.state_dict().items():
             tensors[f"{level}.policy.{name}"] = tensor.detach().contiguous().clone()
@@ -83,7 +88,7 @@ def _read_meta(path: Path) -> dict[str, Any]:
         assert meta["version"] == VERSION and isinstance(meta["config"], dict)
     except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
         raise UserError(f"{path}: not a checkpoint of version {VERSION}") from None
-    return meta  # type: ignore[no-any-return]
+    return meta
 
 
 def _restore(learner: SequencePPO, level: str, tensors: dict[str, th.Tensor]) -> None:

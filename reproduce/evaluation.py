@@ -45,7 +45,13 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         observation, reward, terminated, truncated, last = env.step_flat(action)
         start, total, done = np.array([False]), total + reward, terminated or truncated
     kept = {key: last[key] for key in ("is_success", "both_arms_under", "failure", "task", "posture")}
-    return {"seed": info["scene"].seed, **kept, "steps": env.episode.steps, "return": total, "mass": scene.mass}
+    return {
+        "seed": info["scene"].seed,
+        **kept,
+        "steps": env.episode.steps,
+        "return": total,
+        "mass": scene.mass,
+    }
 
 
 def _prepare(where: str) -> None:

@@ -66,7 +66,7 @@ def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
     change = np.linspace(-0.5, 0.5, 201)
     for form in ("literal", "signed"):
-        values = [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change]  # type: ignore[arg-type]
+        values = [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change]
         axes[0, 0].plot(change, values, label=form)
     axes[0, 0].set(title="approach", xlabel="D_m - D [m]", ylabel="reward")
     axes[0, 0].legend()
@@ -78,7 +78,7 @@ def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
     axes[1, 0].plot(moved, [rewards.joint_motion(np.array([m]), varphi=weights.varphi) for m in moved])
     axes[1, 0].set(title="joint motion", xlabel="sum of |joint changes| in a step [rad]", ylabel="reward")
     steps = np.arange(0, max_steps + 1)
-    axes[1, 1].plot(steps, [weights.time_bonus * rewards.time_bonus(s, max_steps) for s in steps])
+    axes[1, 1].plot(steps, [weights.time_bonus * rewards.time_bonus(int(s), max_steps) for s in steps])
     axes[1, 1].set(title="time bonus at completion", xlabel="steps", ylabel="reward", ylim=(0, None))
     return figure
 
@@ -107,8 +107,8 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
     mesh = axis.pcolormesh(x, y, field, cmap="magma", shading="auto")
     figure.colorbar(mesh, ax=axis, label="obstacle avoidance reward of one point")
     body = body_surface(scene)
-    axis.scatter(*body[::5, :2].T, s=1, color="white", alpha=0.25, label="astronaut")
-    axis.scatter(*marks[:, :2].T, marker="x", color="cyan", label="mark points")
+    axis.scatter(body[::5, 0], body[::5, 1], s=1, color="white", alpha=0.25, label="astronaut")
+    axis.scatter(marks[:, 0], marks[:, 1], marker="x", color="cyan", label="mark points")
     for arm, colour in ((joints[:6], "tab:blue"), (joints[6:], "tab:orange")):
         axis.plot(*arm[:, :2].T, "o-", color=colour)
     axis.plot([], [], "o-", color="tab:blue", label="arm A: joints and end")
@@ -121,9 +121,7 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
 def aapf_against_contact(weights: rewards.RewardWeights, radius: float = 0.1) -> Figure:
     """The dense AAPF term beside the contact reward as a joint nears a rock of this radius [m]."""
     gap = np.linspace(-0.02, 0.8, 300)
-    dense = [
-        rewards.obstacle_avoidance(np.array([max(g + radius, 1e-3)]), rho=weights.rho, xi=weights.xi) for g in gap
-    ]
+    dense = [rewards.obstacle_avoidance(np.array([max(g + radius, 1e-3)]), rho=weights.rho, xi=weights.xi) for g in gap]
     sparse = [weights.contact * rewards.contact(bool(g <= 0)) for g in gap]
     figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
     axis.plot(gap, dense, label="AAPF: grows on the way")
@@ -169,6 +167,15 @@ def success_by_posture(evaluations: dict[str, dict[str, dict[str, int]]]) -> Fig
         {m: {p: c["successes"] / c["tests"] for p, c in counts.items()} for m, counts in evaluations.items()}
     ).reindex(list(postures()))
     figure, axis = plt.subplots(figsize=(2.5 + 1.6 * rates.shape[1], 7), layout="constrained")
-    sns.heatmap(100 * rates, annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis)
+    sns.heatmap(
+        100 * rates,
+        annot=True,
+        fmt=".0f",
+        vmin=0,
+        vmax=100,
+        cmap="viridis",
+        cbar_kws={"label": "success [%]"},
+        ax=axis,
+    )
     axis.set(xlabel="", ylabel="")
     return figure

@@ -26,7 +26,11 @@ def provenance() -> dict[str, Any]:
         "environment_version": ENVIRONMENT_VERSION,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
-        "machine": {"system": platform.system(), "processor": _processor(), "cores": len(os.sched_getaffinity(0))},
+        "machine": {
+            "system": platform.system(),
+            "processor": _processor(),
+            "cores": len(os.sched_getaffinity(0)),
+        },
         "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     }
 

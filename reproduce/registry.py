@@ -1,4 +1,4 @@
-"""One registry of methods: a name, what it is, how it trains and how it acts. Commands, notebooks and tests loop over it."""
+"""One registry of methods: a name, how it trains, how it acts. Commands, notebooks and tests loop over it."""
 
 from __future__ import annotations
 
@@ -100,7 +100,12 @@ def _act_flat(folder: Path) -> Policy:
 METHODS: dict[str, Method] = {
     m.name: m
     for m in (
-        Method("scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()),
+        Method(
+            "scripted",
+            "Script with IK",
+            "inverse kinematics and way-points, no learning",
+            lambda _: ScriptedPolicy(),
+        ),
         Method("random", "Random actions", "uniform actions, the floor of every comparison", RandomPolicy),
         Method(
             "hrl_dcs",

@@ -43,7 +43,9 @@ class FilmingPolicy:
         return drawn
 
 
-def film(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> tuple[list[Picture], dict[str, Any]]:
+def film(
+    where: str | Path, seed: int, posture: str | None = None, task: str | None = None
+) -> tuple[list[Picture], dict[str, Any]]:
     """Act one rescue out; return its pictures and how it ended."""
     if seed < 0:
         raise UserError(f"seed: expected at least 0, got {seed}")
@@ -66,7 +68,9 @@ def strip(frames: list[Picture], count: int = STRIP_PICTURES, columns: int = 4) 
     return np.vstack(rows)
 
 
-def replay(where: str | Path, seed: int, out: Path, posture: str | None = None, task: str | None = None) -> dict[str, Any]:
+def replay(
+    where: str | Path, seed: int, out: Path, posture: str | None = None, task: str | None = None
+) -> dict[str, Any]:
     """Write one rescue to a file; its ending says the format."""
     if out.suffix not in FORMATS:
         raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")

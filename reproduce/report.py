@@ -28,7 +28,8 @@ STYLE = """
 }
 body { font: 16px/1.6 system-ui, sans-serif; color: var(--text); background: var(--back); margin: 0; }
 main { max-width: 60rem; margin: 0 auto; padding: 1rem; }
-nav { position: sticky; top: 0; background: var(--soft); border-bottom: 1px solid var(--line); padding: .5rem 1rem; z-index: 1; }
+nav { position: sticky; top: 0; z-index: 1; padding: .5rem 1rem; }
+nav { background: var(--soft); border-bottom: 1px solid var(--line); }
 nav a { margin-right: 1rem; color: var(--link); white-space: nowrap; }
 a { color: var(--link); }
 h1 { line-height: 1.25; border-top: 1px solid var(--line); padding-top: 2rem; }
@@ -79,14 +80,17 @@ def _title(name: str) -> str:
 def _summary(results: Path) -> str:
     table = readable_table1(results).to_html(index=False, border=0)
     claims = pd.DataFrame(
-        [{"id": c.id, "claim": c.statement, "paper": c.paper, "verdict": c.verdict, "evidence": c.evidence} for c in compute_claims(results)]
+        [
+            {"id": c.id, "claim": c.statement, "paper": c.paper, "verdict": c.verdict, "evidence": c.evidence}
+            for c in compute_claims(results)
+        ]
     ).to_html(index=False, border=0)
     origin = provenance()
     words = f"Made by <code>{html.escape(origin['command'])}</code>, commit {origin['commit'][:12]}, {origin['date']}, "
     words += f"environment {origin['environment_version']}, {html.escape(origin['machine']['processor'])}."
     return (
         f"<h2>Results beside the paper's</h2>{table}<h2>The paper's claims</h2>{claims}"
-        f'<p>One seed says nothing of the variance between trainings: verdicts that rest on few seeds or tests say '
+        f"<p>One seed says nothing of the variance between trainings: verdicts that rest on few seeds or tests say "
         f'<em>reduced scale</em>.</p><p class="origin">{words}</p>'
     )
 
@@ -96,10 +100,9 @@ def _render(path: Path) -> str:
     for cell in document.cells:
         if cell.cell_type == "markdown":
             cell.source = with_mathml(cell.source)
-    body, _ = HTMLExporter(template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True).from_notebook_node(
-        document
-    )
-    return _fold_code(body)
+    exporter = HTMLExporter(template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True)
+    body, _ = exporter.from_notebook_node(document)
+    return str(body)
 
 
 def with_mathml(text: str) -> str:
@@ -114,9 +117,3 @@ def with_mathml(text: str) -> str:
 def _mathml(match: re.Match[str], display: Any) -> str:
     made: str = convert(match.group(1).strip(), display=display)
     return made.replace("\n", " ")
-
-
-def _fold_code(body: str) -> str:
-    """Fold each input cell, so that the page reads as text and pictures first."""
-    opening = re.compile(r'<div class="(?:jp-Cell-inputWrapper|input_area|input)[^"]*"[^>]*>\s*(?:<div[^>]*>\s*)*<div class="[^"]*highlight[^"]*"')
-    return opening.sub(lambda m: m.group(0), body)

@@ -44,13 +44,14 @@ class NetworkSpec:
         """Make the network, untrained."""
         box = spaces.Box(-np.inf, np.inf, (self.observations,), np.float32)
         act = spaces.Box(-1.0, 1.0, (self.actions,), np.float32)
-        return RecurrentNetwork(
-            box, act, lambda _: 0.0, hidden_units=self.hidden_units, bounded_mean=self.bounded_mean
-        )
+        return RecurrentNetwork(box, act, lambda _: 0.0, hidden_units=self.hidden_units, bounded_mean=self.bounded_mean)
 
 
 def save_policy(
-    folder: Path, method: str, networks: dict[str, tuple[NetworkSpec, RecurrentNetwork]], extra: dict[str, Any]
+    folder: Path,
+    method: str,
+    networks: dict[str, tuple[NetworkSpec, RecurrentNetwork]],
+    extra: dict[str, Any],
 ) -> None:
     """Write ``policy.safetensors`` and ``policy.json``."""
     tensors = {
@@ -101,7 +102,12 @@ def load_networks(folder: Path, expected: dict[str, tuple[int, int]]) -> dict[st
         networks[level] = spec.build()
     tensors = read_tensors(folder / "policy.safetensors")
     for level, network in networks.items():
-        fill(network, {n[len(level) + 1 :]: t for n, t in tensors.items() if n.startswith(f"{level}.")}, folder, level)
+        fill(
+            network,
+            {n[len(level) + 1 :]: t for n, t in tensors.items() if n.startswith(f"{level}.")},
+            folder,
+            level,
+        )
         network.set_training_mode(False)
     known = {f"{level}.{name}" for level, network in networks.items() for name in network.state_dict()}
     if set(tensors) - known:
@@ -128,7 +134,7 @@ def read_tensors(path: Path) -> dict[str, th.Tensor]:
         if path.stat().st_size > LARGEST_WEIGHTS:
             raise UserError(f"{path}: larger than {LARGEST_WEIGHTS} bytes")
         with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+            return {name: file.get_tensor(name) for name in file.keys()}
     except FileNotFoundError:
         raise UserError(f"{path}: weights are missing") from None
     except (OSError, SafetensorError, ValueError) as error:

@@ -56,7 +56,9 @@ def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, NDArray[np.fl
     return raw, np.frombuffer(raw, dtype=np.float32).reshape(shape)
 
 
-def _work(pipe: Connection, raws: list[Any], count: int, first: int, indices: range, options: EnvOptions, seed: int) -> None:
+def _work(
+    pipe: Connection, raws: list[Any], count: int, first: int, indices: range, options: EnvOptions, seed: int
+) -> None:
     """Step this worker's share of the environments until told to close."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
     try:
@@ -146,7 +148,9 @@ class WorkerVecEnv(VecEnv):
         self._processes: list[Any] = []
         self.render_mode = None
         super().__init__(
-            count, spaces.Box(-BOUND, BOUND, (SIZE,), np.float32), spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
+            count,
+            spaces.Box(-BOUND, BOUND, (SIZE,), np.float32),
+            spaces.Box(-1.0, 1.0, (JOINTS,), np.float32),
         )
         for part in np.array_split(np.arange(count), workers):
             self._start(range(int(part[0]), int(part[-1]) + 1), count, options or EnvOptions({}), seed)
@@ -198,7 +202,9 @@ class WorkerVecEnv(VecEnv):
         self._actions[:] = actions
         self._send(_STEP)
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:  # type: ignore[override]
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Wait for all workers; an ended episode's last observation is in its info."""
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for index in range(len(self._pipes)):
@@ -238,6 +244,6 @@ class WorkerVecEnv(VecEnv):
         """No environment is wrapped."""
         return [False] * self.num_envs
 
-    def seed(self, seed: int | None = None) -> Sequence[None | int]:
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seeds are fixed when the workers start; SB3 calls this and expects a list."""
         return [None] * self.num_envs

@@ -28,7 +28,7 @@ def intervals_overlap(first: tuple[float, float], second: tuple[float, float]) -
 
 
 def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Success, intervals, groups and failures of tests (rows with is_success, both_arms_under, failure, task, posture)."""
+    """Success, intervals, groups and failures of tests (rows as from ``run_episode``)."""
     tests, successes = len(episodes), sum(bool(e["is_success"]) for e in episodes)
     low, high = wilson(successes, tests)
     return {

@@ -25,7 +25,12 @@ def table1(results: Path = RESULTS) -> pd.DataFrame:
             continue
         counts = {k: run.evaluation[k] for k in ("tests", "successes", "success_rate", "wilson_low", "wilson_high")}
         paper = METHODS[run.method].paper_success if run.method in METHODS else None
-        origin = {"method": run.method, "seed": run.seed, "env_steps": run.env_steps, "minutes": round(run.minutes, 1)}
+        origin = {
+            "method": run.method,
+            "seed": run.seed,
+            "env_steps": run.env_steps,
+            "minutes": round(run.minutes, 1),
+        }
         rows.append({**origin, **counts, "paper_success_rate": paper})
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -36,21 +41,25 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
     titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()} | PAPER_ONLY
     rows = []
     for name, (title, paper) in titles.items():
-        mine = table[table["method"] == name]
+        mine = table[table["method"] == name].to_dict("records")
         ours = [
-            f"{100 * r.success_rate:.1f} % [{100 * r.wilson_low:.1f}, {100 * r.wilson_high:.1f}]" for r in mine.itertuples()
+            f"{_percent(r['success_rate'])} [{_percent(r['wilson_low'])}, {_percent(r['wilson_high'])}]" for r in mine
         ]
         rows.append(
             {
                 "method": title,
-                "paper, 1000 tests": f"{100 * paper:.1f} %" if paper else "-",
+                "paper, 1000 tests": _percent(paper) if paper else "-",
                 "ours, success [95 % interval]": ", ".join(ours) or "no run in results/ yet",
-                "tests": ", ".join(str(r.tests) for r in mine.itertuples()),
-                "env steps": ", ".join(f"{r.env_steps:,}" for r in mine.itertuples()),
-                "minutes": ", ".join(f"{r.minutes:.0f}" for r in mine.itertuples()),
+                "tests": ", ".join(str(r["tests"]) for r in mine),
+                "env steps": ", ".join(f"{r['env_steps']:,}" for r in mine),
+                "minutes": ", ".join(f"{r['minutes']:.0f}" for r in mine),
             }
         )
     return pd.DataFrame(rows)
+
+
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.1f} %"
 
 
 def write_table1(results: Path = RESULTS) -> Path:

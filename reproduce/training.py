@@ -23,7 +23,13 @@ THREADS = 1  # for networks of this size one thread is faster than two (measured
 
 
 def train(
-    method: Method, config: TrainingConfig, seed: int, folder: Path, preset: str, resume: bool = False, quiet: bool = False
+    method: Method,
+    config: TrainingConfig,
+    seed: int,
+    folder: Path,
+    preset: str,
+    resume: bool = False,
+    quiet: bool = False,
 ) -> pd.DataFrame:
     """Train a method and write its run folder; return the rows of ``progress.csv``.
 
@@ -113,4 +119,5 @@ def _read_rows(folder: Path, updates: int) -> list[dict[str, Any]]:
         table = pd.read_csv(folder / "progress.csv")
     except (OSError, ValueError) as error:
         raise UserError(f"{folder / 'progress.csv'}: not readable: {error}") from None
-    return table[table["update"] <= updates].to_dict("records")
+    rows = table[table["update"] <= updates].to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in rows]

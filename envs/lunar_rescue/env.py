@@ -19,7 +19,15 @@ from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot, RobotState
 from lunar_rescue.scene import TASKS, Scene, sample_scene
 from lunar_rescue.simulation import Simulation
-from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS, SMALLEST_ERROR, TARGET_RADIUS, TASK_TYPES, Contacts, Task
+from lunar_rescue.tasks import (
+    HOLD_STEPS,
+    MAX_STEPS,
+    SMALLEST_ERROR,
+    TARGET_RADIUS,
+    TASK_TYPES,
+    Contacts,
+    Task,
+)
 
 Array = NDArray[np.float64]
 ENVIRONMENT_VERSION = "0.1"
@@ -27,7 +35,7 @@ SEED_BITS = 2**31 - 1
 RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
 PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
 PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
-OVER = 0.20  # m; nothing of the body above a target is thinner, so an end higher than this is over the body or outside
+OVER = 0.15  # m above a target; an end higher than this has not slid in under the body
 REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
 
 
@@ -60,13 +68,18 @@ class Episode:
         return self.targets() + self.astronaut.ways_in[self.order]
 
     def distances(self) -> Array:
-        """D of each arm end to its target area, by a way that does not lead through the body (2,) [m].
+        """D of each arm end to its target area, plus a detour for an end over the body (2,) [m].
 
-        An end that is higher than ``OVER`` above the target must first go to the entry before the body.
+        The straight way from over the body leads through it: such an end must first go back before the body, or down
+        beside it, so the smaller of height over ``OVER`` and depth behind the entry is added. This leaves no place but
+        the target where every small motion makes D larger, and D stays continuous (a jump could be crossed again and
+        again for reward; tried, see the training log).
         """
-        ends, targets, entries = self.robot.ends, self.targets(), self.entries()
-        around = _lengths(ends - entries) + _lengths(entries - targets)
-        return np.where(ends[:, 2] > targets[:, 2] + OVER, around, _lengths(ends - targets))
+        from_target, ways = self.robot.ends - self.targets(), self.astronaut.ways_in[self.order]
+        length = np.sqrt((ways * ways).sum(axis=1))
+        depth = np.maximum(0.0, length - (from_target * ways).sum(axis=1) / length)
+        height = np.maximum(0.0, from_target[:, 2] - OVER)
+        return _lengths(from_target) + np.minimum(depth, height)
 
 
 class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
@@ -104,7 +117,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self.weights = weights or RewardWeights()
         self.obstacle_reward = obstacle_reward
         self.max_steps = max_steps
-        self.observation_space = observation_space()
+        self.observation_space: spaces.Space[Any] = observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
         self.simulation = Simulation()
         self.robot = Robot(self.simulation)
@@ -127,7 +140,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         vector, reward, terminated, truncated, info = self.step_flat(action)
         return as_dict(vector), reward, terminated, truncated, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3), or None without a render mode."""
         if self.render_mode is None:
             return None
@@ -148,7 +161,9 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self._episode = self._build(scene)
         return self._observe(self._zero), {"scene": scene, "task": scene.task, "posture": scene.posture}
 
-    def step_flat(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step_flat(
+        self, action: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """As ``step``, with the observation as one vector (SIZE,)."""
         episode, clipped = self.episode, _checked_action(action)
         before = episode.robot.angles
@@ -198,7 +213,16 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         observer = Observer(scene, self.robot, targets)
         task = TASK_TYPES[scene.task](astronaut.start)
         episode = Episode(
-            scene, astronaut, task, observer, rocks, marks, order, robot, body, deque(maxlen=self.weights.memory)
+            scene,
+            astronaut,
+            task,
+            observer,
+            rocks,
+            marks,
+            order,
+            robot,
+            body,
+            deque(maxlen=self.weights.memory),
         )
         episode.recent.append(episode.distances())
         return episode

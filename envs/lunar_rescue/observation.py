@@ -38,18 +38,37 @@ class Entry:
     meaning: str
 
 
+_ARM = (
+    "5 angles from q_init [60 deg], 5 speeds [1.5 rad/s], 5 motor torques [limit], end position (3) [m], "
+    "plate direction (3)"
+)
 ENTRIES = (
-    Entry("P_A", 21, "arm A (left): 5 angles from q_init [60 deg], 5 speeds [1.5 rad/s], 5 motor torques [limit], end position (3) [m], direction of the plate (3)"),
-    Entry("P_B", 21, "arm B (right), the same"),
+    Entry("P_A", 21, f"arm A (left): {_ARM}"),
+    Entry("P_B", 21, f"arm B (right): {_ARM}"),
     Entry("P_W", 3, "waist: angle from its initial value [60 deg], speed [1.5 rad/s], torque [limit]"),
-    Entry("P_G", 18, "target areas of arm A and arm B: position (2 x 3) [m], from arm end to target (2 x 3) [m], from arm end to the entry before the body (2 x 3) [m]"),
-    Entry("P_P", 54, "astronaut: centre of gravity (3) [m], front and left axes (6), velocity (3) [m/s], spin (3) [rad/s], 13 key points of the skeleton (39) [m]"),
-    Entry("P_E", 5 * MAX_ROCKS, f"obstacles, nearest to the targets first, {MAX_ROCKS} rows: position of the top mark (3) [m], radius of the ring of flank marks [m], present (1 or 0)"),
+    Entry(
+        "P_G",
+        18,
+        "target areas of arm A and arm B: position (2 x 3) [m], from arm end to target (2 x 3) [m], "
+        "from arm end to the entry before the body (2 x 3) [m]",
+    ),
+    Entry(
+        "P_P",
+        15 + 3 * len(KEYPOINT_NAMES),
+        "astronaut: centre of gravity (3) [m], front and left axes (6), velocity (3) [m/s], spin (3) [rad/s], "
+        "13 key points of the skeleton (39) [m]",
+    ),
+    Entry(
+        "P_E",
+        5 * MAX_ROCKS,
+        f"obstacles, nearest to the targets first, {MAX_ROCKS} rows: position of the top mark (3) [m], "
+        "radius of the ring of flank marks [m], present (1 or 0)",
+    ),
     Entry("P_R", 4, "robot base in the work area: x, y [m], cos and sin of its heading"),
     Entry("a_prev", JOINTS, "previous action"),
     Entry("I", 2, "task code: one-hot of lift, turn_over"),
     Entry("phase", 2, "process 2 reached (0 or 1), share of the step limit used"),
-)  # fmt: skip  # noqa: E501
+)
 
 SIZE = sum(entry.size for entry in ENTRIES)
 _STARTS = np.cumsum([0] + [entry.size for entry in ENTRIES])
@@ -129,6 +148,3 @@ class Observer:
         out[SLICES["a_prev"]] = action
         out[SLICES["phase"]] = phase
         return np.clip(out, -BOUND, BOUND).astype(np.float32)
-
-
-assert len(KEYPOINT_NAMES) * 3 + 15 == dict((e.key, e.size) for e in ENTRIES)["P_P"]  # noqa: S101 (of this module)

@@ -26,7 +26,7 @@ ATTITUDE_FRONT: dict[str, tuple[float, float, float]] = {
 }
 
 #: Tasks of each attitude. Who lies on the back is ready for transport; who lies face down can be turned over, or be
-#: carried out of danger as they are; who lies on a side has no stable lift on two plates (the rigid body rolls off them,
+#: carried out of danger as they are; who lies on a side has no stable lift on two plates (the rigid body rolls off,
 #: tried) and is turned onto the back first, as a rescuer would.
 ATTITUDE_TASKS: dict[str, tuple[str, ...]] = {
     "supine": ("lift",),

@@ -109,11 +109,11 @@ class RewardWeights:
     memory: int = 1
     """D_m is the best distance of the last so many steps. Over a whole episode (a large number) every step away from
     the best costs again and again, and policies learnt to end episodes early (tried, see the training log)."""
-    rho: float = 0.02
+    rho: float = 0.01
     """AAPF term; with ``xi`` it stays under a tenth of the approach term unless a joint is near a rock."""
     xi: float = 0.01
     """AAPF length scale [m]."""
-    varphi: float = 0.005
+    varphi: float = 0.003
     """Joint-motion term [1/rad]."""
     time_bonus: float = 5.0
     """Factor on the time bonus, so that finishing is worth more than any dwelling."""

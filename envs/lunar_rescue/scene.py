@@ -30,7 +30,12 @@ SIDEWAYS_RANGE = (-0.08, 0.08)  # m, base along the body; assumption
 YAW_ERROR_RANGE = (-6.0, 6.0)  # deg, base from facing the body squarely; assumption
 ROCK_SIZE_RANGE = (0.10, 0.30)  # m, diameter; larger rocks would be driven around
 ROCK_EXPONENT = -1.755  # VIPER intercrater, N(>=D) ~ D^exponent (NASA rock specification)
-ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)  # height/diameter: mean, spread, least, most (same source; spread halved)
+ROCK_ASPECT = (
+    0.6,
+    0.14,
+    0.35,
+    0.95,
+)  # height/diameter: mean, spread, least, most (same source; spread halved)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
 WORK_AREA = 1.15  # m, half side of the square around the astronaut in which rocks lie
 
@@ -78,7 +83,7 @@ class Rock:
 
 def _icosahedron() -> Array:
     golden = (1 + math.sqrt(5)) / 2
-    corners = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
+    corners: list[tuple[float, float, float]] = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
     corners += [(a, b * golden, 0) for a in (-1, 1) for b in (-1, 1)]
     corners += [(a * golden, 0, b) for a in (-1, 1) for b in (-1, 1)]
     array = np.array(corners, dtype=np.float64)
@@ -128,9 +133,7 @@ class Scene:
         if self.posture not in known:
             raise ValueError(f"Scene.posture: expected one of {', '.join(known)}; got {self.posture!r}")
         if self.task not in known[self.posture].tasks:
-            raise ValueError(
-                f"Scene.task: expected one of {known[self.posture].tasks} for posture {self.posture!r}, got {self.task!r}"
-            )
+            raise ValueError(f"Scene.task: posture {self.posture!r} has {known[self.posture].tasks}, got {self.task!r}")
         if self.terrain not in TERRAINS:
             raise ValueError(f"Scene.terrain: expected one of {TERRAINS}, got {self.terrain!r}")
         _in_range("mass", self.mass, MASS_RANGE)
@@ -174,7 +177,9 @@ class Scene:
         rocks = fields.get("rocks", [])
         if not isinstance(rocks, list):
             raise ValueError(f"Scene.rocks: expected a list, got {type(rocks).__name__}")
-        fields["rocks"] = tuple(Rock(**_checked_fields(rock, Rock, f"Scene.rocks[{i}]")) for i, rock in enumerate(rocks))
+        fields["rocks"] = tuple(
+            Rock(**_checked_fields(rock, Rock, f"Scene.rocks[{i}]")) for i, rock in enumerate(rocks)
+        )
         return cls(**fields)
 
 

@@ -27,7 +27,10 @@ SUBSTEP = 0.02  # s; coarser than on Earth will do, as everything falls six time
 SOLVER_ITERATIONS = 20
 POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no motor exceeds its speed limit
 RESTITUTION = 0.0  # regolith does not bounce
-SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005  # m; small, they stop a rocking body as dust would (assumption)
+SPINNING_FRICTION, ROLLING_FRICTION = (
+    0.01,
+    0.005,
+)  # m; small, they stop a rocking body as dust would (assumption)
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
 
 
@@ -148,9 +151,7 @@ class Simulation:
 
     def _set_friction(self, handle: int, link: int = -1) -> None:
         # Bullet multiplies the two surfaces' coefficients: the square root makes the product the wanted one.
-        self._client.changeDynamics(
-            handle, link, lateralFriction=math.sqrt(self.friction), restitution=RESTITUTION
-        )
+        self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=RESTITUTION)
 
     # -- placing, only at reset ------------------------------------------------------------------------------------
     def place(self, handle: int, position: Array, quaternion: Array) -> None:
@@ -181,7 +182,11 @@ class Simulation:
     def release(self, body: int, joints: list[int]) -> None:
         """Switch motors off."""
         self._client.setJointMotorControlArray(
-            body, joints, pb.VELOCITY_CONTROL, targetVelocities=[0.0] * len(joints), forces=[0.0] * len(joints)
+            body,
+            joints,
+            pb.VELOCITY_CONTROL,
+            targetVelocities=[0.0] * len(joints),
+            forces=[0.0] * len(joints),
         )
 
     def advance(self, substeps: int) -> None:
@@ -225,6 +230,11 @@ class Simulation:
             force = row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13])
             rows.append((int(row[3]), int(row[4]), force))
         return rows
+
+    def penetration(self, first: int, second: int) -> float:
+        """How deep two bodies overlap as they are placed now [m]; slow, for tests."""
+        self._client.performCollisionDetection()
+        return max((-row[8] for row in self._client.getContactPoints(first, second)), default=0.0)
 
     def ray_hits(self, start: Array, end: Array, handle: int) -> bool:
         """Whether the first thing on a ray is this body."""

@@ -112,9 +112,7 @@ def _quad(rotation: Rotation) -> tuple[float, float, float, float]:
 
 def _swing(flexion: float, abduction: float, side: int) -> Rotation:
     """Rotation of a hanging limb: flexion to the front, then abduction away from the middle."""
-    return Rotation.from_euler("x", side * abduction, degrees=True) * Rotation.from_euler(
-        "y", -flexion, degrees=True
-    )
+    return Rotation.from_euler("x", side * abduction, degrees=True) * Rotation.from_euler("y", -flexion, degrees=True)
 
 
 def _limb(root: Array, swing: Rotation, bend: float, lengths: tuple[float, float]) -> tuple[Array, Array, Rotation]:

@@ -16,11 +16,19 @@ MAX_STEPS = 120  # phi_max: 12 s; the script needs 3 to 7 s
 TARGET_RADIUS = 0.10  # m, an arm end is in its target area within this; the plate is 0.15 m wide
 LIFT_HEIGHT = 0.20  # m, transport height: over every rock of the work area (at most 0.17 m above ground)
 LIFT_TILT = math.radians(30.0)  # "attitude kept": the body's long axis within this of level as at rest ...
-LIFT_ROLL = math.radians(75.0)  # ... and rolled about it by less: who lay on a side may settle onto the back in the arms
+LIFT_ROLL = math.radians(
+    75.0
+)  # ... and rolled about it by less: who lay on a side may settle onto the back in the arms
 BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight up
 HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
-LOST_TILT, LOST_ROLL = math.radians(60.0), math.radians(110.0)  # a lift beyond either has dropped the astronaut
-LOST_DISTANCE = {1: 0.6, 2: 1.6}  # m, centre of gravity from its start; beyond it the arms cannot follow (by process)
+LOST_TILT, LOST_ROLL = (
+    math.radians(60.0),
+    math.radians(110.0),
+)  # a lift beyond either has dropped the astronaut
+LOST_DISTANCE = {
+    1: 0.6,
+    2: 1.6,
+}  # m, centre of gravity from its start; beyond it the arms cannot follow (by process)
 SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the reward functions want them
 
 

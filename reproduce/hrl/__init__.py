@@ -1,0 +1,1 @@
+"""The two-layer method: networks, sub-goals, hierarchy."""

@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
+from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, arm_ends, lln_observations
 from reproduce.learners.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
@@ -29,7 +30,7 @@ from reproduce.sampling import TERMS, WorkerVecEnv
 SUBGOAL_SPACE = spaces.Box(-1.0, 1.0, (SUBGOAL_SIZE,), np.float32)
 LLN_SPACE = spaces.Box(-np.inf, np.inf, (LLN_SIZE,), np.float32)
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "failure")]
+SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")]
 
 
 @dataclass
@@ -124,9 +125,10 @@ class SubGoalVecEnv(VecEnvWrapper):
         self.episodes: list[dict[str, Any]] = []
         #: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
         self.cuts: list[NDArray[np.bool_]] = []
+        self._last = np.zeros((count, venv.observation_space.shape[0]), np.float32)  # type: ignore[index]
         self._returns = np.zeros((count, 3))  # EXR, INR, steps of the episode under way
 
-    def reset(self) -> Floats:  # type: ignore[override]
+    def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
         observations: Floats = self.venv.reset()  # type: ignore[assignment]
         self.recorder = Recorder([[] for _ in range(self.num_envs)])
@@ -135,6 +137,10 @@ class SubGoalVecEnv(VecEnvWrapper):
         self._anchors.update(observations, everything)
         self._decide(observations, everything, everything)
         return self._view(observations)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Send LLN's outputs on as Eq. 3's actions."""
+        self.venv.step_async(to_environment(self._last, actions))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step, reward LLN with INR, credit SGN with EXR, and renew sub-goals where N steps are over."""
@@ -154,6 +160,7 @@ class SubGoalVecEnv(VecEnvWrapper):
         return self._view(observations), inr, dones, infos
 
     def _view(self, observations: Floats) -> Floats:
+        self._last = observations
         return lln_observations(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
 
     def _distances(self, observations: Floats) -> Floats:
@@ -205,14 +212,22 @@ class SubGoalVecEnv(VecEnvWrapper):
         pair = (state[:, :, 0].contiguous(), state[:, :, 1].contiguous())
         with th.no_grad():
             output, values, log_probs, after = self._sgn(
-                th.from_numpy(chosen), RNNStates(pair, pair), th.zeros(len(rows)), deterministic=self._deterministic
+                th.from_numpy(chosen),
+                RNNStates(pair, pair),
+                th.zeros(len(rows)),
+                deterministic=self._deterministic,
             )
         self._hidden[rows] = th.stack([after.pi[0][0], after.pi[1][0]], dim=1).numpy()
         outputs = output.numpy()
         for slot, index in enumerate(rows):
             self.recorder.decisions[index].append(
                 Decision(
-                    chosen[slot], outputs[slot], float(log_probs[slot]), float(values[slot]), before[slot], bool(starts[index])
+                    chosen[slot],
+                    outputs[slot],
+                    float(log_probs[slot]),
+                    float(values[slot]),
+                    before[slot],
+                    bool(starts[index]),
                 )
             )
         everywhere = np.zeros((self.num_envs, SUBGOAL_SIZE), np.float32)

@@ -18,9 +18,11 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
+from reproduce.learners.standardiser import Standardiser
+
 
 class StateEncoder(BaseFeaturesExtractor):
-    """One fully connected layer before the memory, so that the LSTM sees features and not raw coordinates."""
+    """Standardised observations through one fully connected layer, so that the LSTM sees features."""
 
     def __init__(self, observation_space: spaces.Box, features_dim: int = 128) -> None:
         """Make the layer.
@@ -30,7 +32,8 @@ class StateEncoder(BaseFeaturesExtractor):
             features_dim: Units.
         """
         super().__init__(observation_space, features_dim)
-        self.layer = nn.Sequential(nn.Linear(observation_space.shape[0], features_dim), nn.Tanh())
+        size = observation_space.shape[0]
+        self.layer = nn.Sequential(Standardiser(size), nn.Linear(size, features_dim), nn.Tanh())
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """(n, d) to (n, features_dim)."""
@@ -74,7 +77,8 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
         )
         if bounded_mean:
             self.action_net = nn.Sequential(self.action_net, nn.Tanh())
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        make_optimizer: Any = self.optimizer_class
+        self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
 def layer_table(network: nn.Module) -> list[dict[str, object]]:

@@ -8,6 +8,7 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.subgoals import SUBGOAL_SIZE, Anchors, lln_observations
 from reproduce.policy import Actions, Observations
@@ -22,7 +23,9 @@ class Memory:
         hidden = network.lstm_actor.hidden_size
         self._h, self._c = th.zeros(1, count, hidden), th.zeros(1, count, hidden)
 
-    def act(self, observations: NDArray[np.float32], rows: NDArray[np.int64], deterministic: bool) -> NDArray[np.float32]:
+    def act(
+        self, observations: NDArray[np.float32], rows: NDArray[np.int64], deterministic: bool
+    ) -> NDArray[np.float32]:
         """Actions for some of the environments."""
         index = th.from_numpy(rows)
         with th.no_grad():
@@ -73,13 +76,14 @@ class HierarchicalPolicy:
         self._anchors.update(observations, starts)
         rows = np.flatnonzero(self._left <= 0)
         if len(rows):
-            outputs = np.zeros_like(self._subgoals)
-            outputs[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
-            self._subgoals[rows] = self._anchors.subgoals(outputs)[rows]
+            commands = np.zeros_like(self._subgoals)
+            commands[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
+            self._subgoals[rows] = self._anchors.subgoals(commands)[rows]
             self._left[rows] = self._interval
         view = lln_observations(observations, self._subgoals, (self._left / self._interval).astype(np.float32))
         self._left -= 1
-        return self._lln.act(view, np.arange(len(observations)), self._deterministic)
+        outputs = self._lln.act(view, np.arange(len(observations)), self._deterministic)
+        return to_environment(observations, outputs)
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """The sub-goals in the base frame, (n, 2, 3) [m]."""
@@ -100,7 +104,8 @@ class FlatPolicy:
         if self._memory is None or len(observations) != self._count:
             self._memory, self._count = Memory(self._network, len(observations)), len(observations)
         self._memory.forget(starts)
-        return self._memory.act(observations, np.arange(len(observations)), self._deterministic)
+        outputs = self._memory.act(observations, np.arange(len(observations)), self._deterministic)
+        return to_environment(observations, outputs)
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Nothing to draw."""

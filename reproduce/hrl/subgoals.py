@@ -1,9 +1,10 @@
 """Sub-goals: the one metric space in which SGN commands and LLN obeys (section 2.2, point 2).
 
 A sub-goal is a wanted position of the two arm ends in the robot's base frame. SGN's tanh-bounded output moves it by at
-most ``REACH`` from an anchor: the entries of the ways in, low before the body (process 1), or the target areas as they
-were when both arms had got under (process 2). With the target areas themselves as anchors, an untrained SGN sends the
-arms straight at them and onto the body, and learning starts in a trap (tried, see the training log).
+most ``REACH`` from an anchor. In process 1 that is, for each arm, the entry before the body while its end is high, and
+the target area once it is low; in process 2 it is the target area as it was when both arms had got under. With the
+target areas alone as anchors an untrained SGN sends the arms straight at them and onto the body, and learning starts in
+a trap (tried, see the training log).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_rescue.env import OVER
 from lunar_rescue.observation import SIZE, SLICES
 
 Floats = NDArray[np.float32]
@@ -41,6 +43,13 @@ def entries(observations: Floats) -> Floats:
     return observations[:, _TO_ENTRIES] + arm_ends(observations)
 
 
+def next_points(observations: Floats) -> Floats:
+    """For each arm the entry while its end is high, the target area once it is low, (n, 6) [m]."""
+    ends, goals = arm_ends(observations), targets(observations)
+    high = ends[:, [2, 5]] > goals[:, [2, 5]] + OVER
+    return np.where(np.repeat(high, 3, axis=1), entries(observations), goals)
+
+
 def in_process_2(observations: Floats) -> NDArray[np.bool_]:
     """Whether both arms have got under, (n,)."""
     return observations[:, _PROCESS_2] > 0.5
@@ -64,7 +73,7 @@ class Anchors:
         """Follow the entries in process 1, stay where the targets were when process 2 began."""
         now_2 = in_process_2(observations)
         begins_2 = now_2 & (starts | ~self._was_2)
-        self._kept[~now_2] = entries(observations)[~now_2]
+        self._kept[~now_2] = next_points(observations)[~now_2]
         self._kept[begins_2] = targets(observations)[begins_2]
         self._was_2 = now_2
 

@@ -17,6 +17,7 @@ from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
 from reproduce.learners.sequences import Minibatch, Rollout, minibatches, sequence_bounds
+from reproduce.learners.standardiser import Standardiser
 
 
 class SequencePPO(RecurrentPPO):
@@ -104,7 +105,14 @@ class SequencePPO(RecurrentPPO):
                 self._n_updates += 1
                 continue
             break
+        self._observe(rollout)
         self._record(rollout, logs)
+
+    def _observe(self, rollout: Rollout) -> None:
+        """Let standardisers see the rollout, after training, so that its log probabilities stay what they were."""
+        for module in self.policy.modules():
+            if isinstance(module, Standardiser):
+                module.observe(th.from_numpy(rollout.observations))
 
     def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
         """PPO's loss of one minibatch and what is worth logging."""
@@ -135,18 +143,18 @@ class SequencePPO(RecurrentPPO):
             }
         return loss, log
 
-    def evaluate_sequences(
-        self, batch: Minibatch, actions: th.Tensor
-    ) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
+    def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
         """Values, log probabilities and entropies of the real transitions of a minibatch, one LSTM call."""
-        policy = self.policy
+        policy: Any = self.policy  # sb3-contrib types its parts too loosely to follow
         features = policy.extract_features(batch.observations.flatten(0, 1))
         pi_features, vf_features = (features, features) if policy.share_features_extractor else features
         length, count = batch.mask.shape
         memory, _ = policy.lstm_actor(pi_features.view(length, count, -1), batch.hidden)
         memory = memory[batch.mask]
         if policy.lstm_critic is not None:
-            raise ValueError("SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic")
+            raise ValueError(
+                "SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic"
+            )
         if policy.shared_lstm:
             latent_vf = memory.detach()
         else:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch as th
@@ -72,7 +73,7 @@ def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[
     """
     cuts = [0, *[int(i) for i in np.flatnonzero(starts) if i > 0], len(starts)]
     bounds = []
-    for begin, end in zip(cuts[:-1], cuts[1:], strict=True):
+    for begin, end in pairwise(cuts):
         bounds += [(first + a, first + min(a + length, end)) for a in range(begin, end, length)]
     return bounds
 
@@ -103,7 +104,13 @@ def _minibatch(rollout: Rollout, bounds: NDArray[np.int64]) -> Minibatch:
 
 
 def advantages_and_returns(
-    rewards: Floats, values: Floats, starts: NDArray[np.bool_], last_value: float, last_done: bool, gamma: float, lam: float
+    rewards: Floats,
+    values: Floats,
+    starts: NDArray[np.bool_],
+    last_value: float,
+    last_done: bool,
+    gamma: float,
+    lam: float,
 ) -> tuple[Floats, Floats]:
     """Generalised advantage estimation over one environment's transitions, (t,) each.
 

@@ -14,7 +14,13 @@ from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.learners.sequence_ppo import SequencePPO
-from reproduce.methods.stepping import OnlySpaces, episode_summary, follow_schedule, make_environments, start_collecting
+from reproduce.methods.stepping import (
+    OnlySpaces,
+    episode_summary,
+    follow_schedule,
+    make_environments,
+    start_collecting,
+)
 
 
 def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool) -> SequencePPO:
@@ -22,7 +28,9 @@ def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool)
     learner = SequencePPO(
         RecurrentNetwork,
         env,
-        learning_rate=lambda left: config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate),
+        learning_rate=lambda left: (
+            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
+        ),
         n_steps=config.n_steps,
         batch_size=config.batch_size,
         n_epochs=config.n_epochs,

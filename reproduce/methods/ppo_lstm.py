@@ -8,6 +8,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from reproduce.actions import to_environment
 from reproduce.config import TrainingConfig
 from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.hrl_dcs import make_learner
@@ -26,7 +27,12 @@ class EpisodeLog(VecEnvWrapper):
     def reset(self) -> Any:
         """Begin new episodes."""
         self._totals[:] = 0.0
-        return self.venv.reset()
+        self._last: Any = self.venv.reset()
+        return self._last
+
+    def step_async(self, actions: Any) -> None:
+        """Send the network's outputs on as Eq. 3's actions."""
+        self.venv.step_async(to_environment(self._last, actions))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step and keep what ended."""
@@ -38,6 +44,7 @@ class EpisodeLog(VecEnvWrapper):
             total, steps = self._totals[index]
             self.episodes.append({**episode, "exr": total, "inr": float("nan"), "steps": steps})
             self._totals[index] = 0.0
+        self._last = observations
         return observations, rewards, dones, infos
 
 

@@ -29,7 +29,7 @@ class WayPoint:
     """A wanted place of both arm ends.
 
     Attributes:
-        offset: From the targets as first seen: ahead, sideways, up (3,) [m]; the height of ``level`` points is absolute.
+        offset: From the targets as first seen: ahead, sideways, up (3,) [m].
         slope: Forearm above the horizontal [deg].
         waist: Waist angle [deg].
         patience: Most steps to spend.
@@ -134,6 +134,12 @@ def _solve(targets: Array, point: WayPoint, before: Array) -> Array:
     joints[WAIST] = np.radians(point.waist)
     for arm, target in zip(ARMS, targets, strict=True):
         joints[arm.joints], _ = solve_arm(
-            target + np.array(point.offset), np.radians(point.slope), joints[WAIST], arm.side, before[arm.joints], LOWER, UPPER
+            target + np.array(point.offset),
+            np.radians(point.slope),
+            joints[WAIST],
+            arm.side,
+            before[arm.joints],
+            LOWER,
+            UPPER,
         )
     return joints

@@ -1,0 +1,1 @@
+"""Data files: postures and robot."""

@@ -1,0 +1,63 @@
+# `make help` lists the targets. Everything runs in .venv, which is set up once and again only when the lock changes.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+REFERENCE := results/reference
+
+.DEFAULT_GOAL := help
+.PHONY: help setup reproduce test test-slow lint format notebooks report reference evaluate-reference bench clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
+
+$(STAMP): requirements.lock pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "needs Python 3.11 on Linux (PyBullet has no later wheels); set PYTHON=/path/to/python3.11"; exit 2; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11) or not sys.platform.startswith("linux"))' \
+		|| { echo "needs Python 3.11 on Linux (PyBullet has no later wheels); $(PYTHON) is something else"; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+setup: $(STAMP)  ## make .venv with the exact versions of requirements.lock
+
+reproduce: $(STAMP)  ## the main job in its short form: train, run the notebooks, build results/report/index.html
+	$(BIN)/reproduce notebooks --preset smoke
+	$(BIN)/reproduce claims
+	@echo "report: results/report/index.html"
+
+test: $(STAMP)  ## lint, types and tests (under 15 minutes on 2 cores)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q -m "not slow"
+
+test-slow: $(STAMP)  ## learning tests and long physics runs
+	$(BIN)/python -m pytest -q -m slow
+
+lint: $(STAMP)  ## what pre-commit runs
+	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
+
+format: $(STAMP)  ## format the code
+	$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+notebooks: $(STAMP)  ## run the notebooks with the laptop preset
+	$(BIN)/reproduce notebooks --preset laptop
+
+reference: $(STAMP)  ## train the HRL-DCS reference run again (about 20 minutes) into results/scratch
+	$(BIN)/reproduce train hrl_dcs --preset laptop --seed 0 --out results/scratch/hrl_dcs
+
+evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each and rewrite table 1 and claims
+	for run in $(wildcard $(REFERENCE)/*/seed*); do \
+		if [ -f $$run/policy.json ]; then target=$$run; else target=$$(basename $$(dirname $$run)); fi; \
+		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; done
+	$(BIN)/reproduce table1
+	$(BIN)/reproduce claims
+
+bench: $(STAMP)  ## measure speed
+	$(BIN)/reproduce bench
+
+clean:  ## remove caches and built pages; never results
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache results/report results/notebooks results/scratch
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from numpy.typing import NDArray
+from stable_baselines3.common.env_checker import check_env as sb3_check
+
+import lunar_rescue
+from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
+from lunar_rescue.observation import ENTRIES, SIZE
+from lunar_rescue.scene import task_distribution
+
+Step = tuple[NDArray[np.float32], float]
+
+
+def play(env: LunarRescueEnv, scene: Scene, steps: int = 60, seed: int = 5) -> list[Step]:
+    rng = np.random.default_rng(seed)
+    observation, _ = env.reset_flat(options={"scene": scene})
+    history: list[Step] = [(observation, 0.0)]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, _ = env.step_flat(rng.uniform(-1, 1, 11))
+        history.append((observation, reward))
+        if terminated or truncated:
+            break
+    return history
+
+
+def same(first: list[Step], second: list[Step]) -> bool:
+    return len(first) == len(second) and all(
+        np.array_equal(a[0], b[0]) and a[1] == b[1] for a, b in zip(first, second, strict=True)
+    )
+
+
+def test_checkers_pass_without_warnings() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make("LunarRescue-v0", render_mode="rgb_array")
+        gymnasium_check(env.unwrapped, skip_render_check=False)
+        sb3_check(env.unwrapped, warn=True)
+        env.close()
+
+
+def test_render_returns_a_picture() -> None:
+    env = gymnasium.make("LunarRescue-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture: Any = env.render()
+    assert picture.ndim == 3 and picture.shape[2] == 3 and picture.dtype == np.uint8
+    assert picture.std() > 10  # not one colour
+    env.close()
+
+
+@pytest.mark.parametrize(("posture", "task"), task_distribution())
+def test_every_posture_and_task_steps(env: LunarRescueEnv, posture: str, task: str) -> None:
+    rng = np.random.default_rng(1)
+    space = env.observation_space
+    observation, _ = env.reset(seed=3, options={"posture": posture, "task": task})
+    for _ in range(200):
+        assert space.contains(observation)
+        observation, reward, terminated, truncated, info = env.step(rng.uniform(-1, 1, 11).astype(np.float32))
+        assert math.isfinite(reward)
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward)
+        if terminated or truncated:
+            assert info["is_success"] or isinstance(info["failure"], str)
+            observation, _ = env.reset(options={"posture": posture, "task": task})
+
+
+def test_no_constant_observation() -> None:
+    env = LunarRescueEnv()
+    seen = np.concatenate([[o for o, _ in play(env, sample_scene(s), 15)] for s in range(25)])
+    constant = np.flatnonzero(seen.std(axis=0) == 0)
+    env.close()
+    assert len(constant) == 0, constant
+
+
+def test_same_seed_same_trajectory_after_other_episodes(env: LunarRescueEnv) -> None:
+    scenes = [sample_scene(seed) for seed in range(12)]
+    first = [play(env, scene) for scene in scenes]
+    again = [play(env, scene) for scene in reversed(scenes)][::-1]
+    other = LunarRescueEnv()
+    elsewhere = [play(other, Scene.from_json(scene.to_json())) for scene in scenes]
+    other.close()
+    assert all(same(a, b) for a, b in zip(first, again, strict=True))
+    assert all(same(a, b) for a, b in zip(first, elsewhere, strict=True))
+
+
+def test_starts_are_random_and_seeded(env: LunarRescueEnv) -> None:
+    a, _ = env.reset_flat(seed=11)
+    b, _ = env.reset_flat(seed=12)
+    c, _ = env.reset_flat(seed=11)
+    assert np.array_equal(a, c) and not np.array_equal(a, b)
+
+
+def test_nothing_overlaps_at_the_start(env: LunarRescueEnv) -> None:
+    deepest = 0.0
+    for seed in range(150):
+        env.reset_flat(options={"scene": sample_scene(seed)})
+        e = env.episode
+        for other in (e.astronaut.handle, *e.rocks, env.simulation.ground):
+            deepest = max(deepest, env.simulation.penetration(env.robot.handle, other))
+        for rock in e.rocks:
+            deepest = max(deepest, env.simulation.penetration(e.astronaut.handle, rock))
+    assert deepest < 0.01  # m
+
+
+def test_observation_layout(env: LunarRescueEnv) -> None:
+    observation, _ = env.reset(seed=0)
+    assert list(observation) == [entry.key for entry in ENTRIES]
+    flat, _ = env.reset_flat(seed=0)
+    assert flat.shape == (SIZE,)
+    assert np.array_equal(np.concatenate([observation[e.key] for e in ENTRIES]), flat)
+
+
+def test_contact_reward_replaces_the_aapf_term_and_nothing_else() -> None:
+    scene = next(s for s in map(sample_scene, range(100)) if s.rocks)
+    plain, ablated = LunarRescueEnv(), LunarRescueEnv(obstacle_reward="contact")
+    weights = RewardWeights()
+    for e in (plain, ablated):
+        e.reset_flat(options={"scene": scene})
+    for _ in range(5):
+        action = np.zeros(11)
+        *_, first = plain.step_flat(action)
+        *_, second = ablated.step_flat(action)
+        terms, others = first["reward_terms"], second["reward_terms"]
+        assert terms.pop("obstacle_avoidance") < 0
+        assert others.pop("obstacle_avoidance") == weights.contact * 0.5
+        assert terms == others
+    plain.close()
+    ablated.close()
+
+
+def test_time_limit() -> None:
+    env = LunarRescueEnv(max_steps=3)
+    env.reset_flat(seed=0)
+    ends = [env.step_flat(np.zeros(11)) for _ in range(3)]
+    assert [e[3] for e in ends] == [False, False, True]
+    assert ends[-1][4]["failure"] == "timeout"
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda e: e.reset(options={"scne": 1}), "scne"),
+        (lambda e: e.reset(options={"scene": "x"}), "Scene"),
+        (lambda e: e.reset(options={"posture": "x"}), "posture"),
+        (lambda e: e.step(np.zeros(3, np.float32)), "action"),
+        (lambda e: e.step(np.full(11, np.nan, np.float32)), "action"),
+    ],
+)
+def test_bad_calls_are_refused_by_name(env: LunarRescueEnv, call: Any, words: str) -> None:
+    env.reset_flat(seed=0)
+    with pytest.raises(ValueError, match=words):
+        call(env)
+
+
+def test_bad_constructions_and_order() -> None:
+    with pytest.raises(ValueError, match="render_mode"):
+        LunarRescueEnv(render_mode="human")
+    with pytest.raises(ValueError, match="obstacle_reward"):
+        LunarRescueEnv(obstacle_reward="none")
+    with pytest.raises(ValueError, match="max_steps"):
+        LunarRescueEnv(max_steps=0)
+    env = LunarRescueEnv()
+    with pytest.raises(RuntimeError, match="reset"):
+        env.step(np.zeros(11, np.float32))
+    env.close()
+    assert lunar_rescue.ENV_ID in gymnasium.registry

@@ -1,0 +1,178 @@
+"""The physics is real: gravity, weight, limits, and rescues by contact and friction alone."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lunar_rescue
+from lunar_rescue import LunarRescueEnv, postures, sample_scene
+from lunar_rescue.kinematics import arm_pose
+from lunar_rescue.robot import ARMS, CONTROL_STEP, WAIST
+from lunar_rescue.scene import FRICTION_RANGE, MASS_RANGE
+from lunar_rescue.simulation import LUNAR_GRAVITY, SUBSTEP, RigidBody, Simulation
+from lunar_rescue.suit import surface_points
+from reproduce.methods.scripted import ScriptedPolicy
+
+PACKAGE = Path(lunar_rescue.__file__).parent
+
+
+@pytest.fixture
+def simulation() -> Iterator[Simulation]:
+    made = Simulation()
+    yield made
+    made.close()
+
+
+def _suit(simulation: Simulation, name: str, mass: float, height: float) -> RigidBody:
+    posture = postures()[name]
+    body = simulation.add_suit(posture.limbs, mass)
+    simulation.place_suit(body, np.array([0.0, 0.0, height]), posture.rest_rotation())
+    return body
+
+
+@pytest.mark.parametrize("mass", MASS_RANGE)
+def test_dropped_astronaut_falls_with_lunar_gravity(simulation: Simulation, mass: float) -> None:
+    body = _suit(simulation, "supine_straight", mass, 10.0)
+    steps = 100
+    simulation.advance(steps)
+    time = steps * SUBSTEP
+    velocity, _ = simulation.velocity(body)
+    fallen = 10.0 - simulation.pose(body)[0][2]
+    assert -velocity[2] / time == pytest.approx(LUNAR_GRAVITY, rel=0.01)
+    # The engine integrates velocity first, so a fall takes half a substep's speed more than g t^2 / 2.
+    assert fallen == pytest.approx(0.5 * LUNAR_GRAVITY * time * (time + SUBSTEP), rel=0.01)
+
+
+@pytest.mark.parametrize("mass", MASS_RANGE)
+@pytest.mark.parametrize("name", ["supine_straight", "prone_straight", "left_side_recovery", "right_side_curled"])
+def test_ground_bears_the_weight_at_rest(simulation: Simulation, name: str, mass: float) -> None:
+    body = _suit(simulation, name, mass, postures()[name].rest_height)
+    simulation.advance(150)
+    forces = []
+    for _ in range(50):
+        simulation.advance(1)
+        forces.append(sum(force[2] for *_, force in simulation.contact_forces(body.handle, simulation.ground)))
+    assert np.mean(forces) == pytest.approx(mass * LUNAR_GRAVITY, rel=0.02)
+
+
+@pytest.mark.parametrize("friction", FRICTION_RANGE)
+@pytest.mark.parametrize("name", list(postures()))
+def test_every_posture_rests_where_it_is_put(name: str, friction: float) -> None:
+    env = LunarRescueEnv()
+    scene = replace(sample_scene(1, posture=name), rocks=(), friction=friction)
+    env.reset_flat(options={"scene": scene})
+    start = env.episode.astronaut.state()
+    env.simulation.advance(int(5.0 / SUBSTEP))
+    state = env.episode.astronaut.state()
+    turned = np.degrees(np.arccos(np.clip((np.trace(start.rotation.T @ state.rotation) - 1) / 2, -1, 1)))
+    env.close()
+    assert np.linalg.norm(state.centre - start.centre) < 0.01
+    assert turned < 2.0
+
+
+def test_no_joint_exceeds_torque_or_speed_in_10000_random_steps(env: LunarRescueEnv) -> None:
+    rng = np.random.default_rng(0)
+    worst_torque, worst_speed, done = 0.0, 0.0, True
+    for step in range(10_000):
+        if done:
+            env.reset_flat(seed=step)
+        *_, terminated, truncated, _ = env.step_flat(rng.uniform(-1, 1, 11))
+        done = terminated or truncated
+        state = env.episode.robot
+        worst_torque = max(worst_torque, float(np.max(np.abs(state.torques) / env.robot.torque_limits)))
+        worst_speed = max(worst_speed, float(np.max(np.abs(state.speeds) / env.robot.speed_limits)))
+    assert worst_torque <= 1.0 + 1e-6
+    assert worst_speed <= 1.0 + 1e-6
+    assert worst_torque > 0.5 and worst_speed > 0.5  # the test sees the limits at work
+
+
+def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
+    rng = np.random.default_rng(2)
+    env.reset_flat(seed=0)
+    for _ in range(20):
+        env.step_flat(rng.uniform(-1, 1, 11))
+        state = env.episode.robot
+        seen = env.episode.observer.to_base(state.points)
+        for arm in ARMS:
+            pose = arm_pose(state.angles[WAIST], state.angles[arm.joints], arm.side)
+            assert pose.points[-1] == pytest.approx(seen[arm.links][-1], abs=1e-6)
+            assert pose.points[0] == pytest.approx(seen[arm.links][0], abs=1e-6)
+
+
+def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueEnv) -> None:
+    found = 0
+    for seed in range(40):
+        observation, _ = env.reset_flat(options={"scene": sample_scene(seed, task="lift")})
+        policy, start, done = ScriptedPolicy(), np.array([True]), False
+        while not done:
+            observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
+            start, done = np.array([False]), terminated or truncated
+        if info["is_success"]:
+            found += 1
+            e, simulation = env.episode, env.simulation
+            assert not simulation.touching(e.astronaut.handle, simulation.ground)
+            rows = simulation.contact_forces(e.astronaut.handle, env.robot.handle)
+            up = [sum(f[2] for _, link, f in rows if link in links) for links in env.robot.arm_links]
+            assert min(up) > 10.0  # N, each arm bears some of it
+            low = e.astronaut.keypoints(e.body)[:, 2].min()
+            assert low > 0.0
+    assert found >= 10  # the scripted method lifts most of these scenes
+
+
+def test_nothing_constrains_or_teleports_the_astronaut() -> None:
+    """Only the simulation module calls PyBullet, it makes no constraint, and bodies are placed at reset only."""
+    for path in PACKAGE.glob("*.py"):
+        tree = ast.parse(path.read_text())
+        names = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        assert not names & {"createConstraint", "applyExternalForce", "applyExternalTorque"}, path
+        imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+        assert path.name == "simulation.py" or not any("pybullet" in name for name in imported), path
+    env_source = ast.parse((PACKAGE / "env.py").read_text())
+    step = next(n for n in ast.walk(env_source) if isinstance(n, ast.FunctionDef) and n.name == "step_flat")
+    called = {n.attr for n in ast.walk(step) if isinstance(n, ast.Attribute)}
+    assert not called & {"place", "place_suit", "reset_joints", "reset", "clear", "add_suit"}
+
+
+def test_astronaut_obeys_momentum_while_stepping(env: LunarRescueEnv) -> None:
+    """Between two steps the body moves as far as its velocities say: no jump."""
+    rng = np.random.default_rng(3)
+    for seed in range(6):
+        env.reset_flat(seed=seed)
+        before, speed = env.episode.body.centre, 0.0
+        for _ in range(60):
+            *_, terminated, truncated, _ = env.step_flat(rng.uniform(-1, 1, 11))
+            after = env.episode.body.centre
+            fastest = max(speed, float(np.linalg.norm(env.episode.body.velocity)))
+            assert np.linalg.norm(after - before) <= (fastest + 1.5) * CONTROL_STEP
+            before, speed = after, float(np.linalg.norm(env.episode.body.velocity))
+            if terminated or truncated:
+                break
+
+
+def test_with_motors_off_nothing_gains_energy(env: LunarRescueEnv) -> None:
+    env.reset_flat(options={"scene": replace(sample_scene(4), rocks=())})
+    env.robot.switch_off()
+    mass = env.episode.scene.mass
+    heights = []
+    for _ in range(200):
+        env.simulation.advance(5)
+        state = env.episode.astronaut.state()
+        energy = mass * LUNAR_GRAVITY * state.centre[2] + 0.5 * mass * float(state.velocity @ state.velocity)
+        heights.append(energy)
+    start = mass * LUNAR_GRAVITY * env.episode.astronaut.start.centre[2]
+    # The falling arms (38 kg in all) may knock the body; they cannot give it more than they had.
+    assert max(heights) - start < 38.0 * LUNAR_GRAVITY * 1.0
+    assert abs(heights[-1] - heights[-20]) < 1.0
+
+
+def test_surface_points_touch_the_ground_at_rest() -> None:
+    for posture in postures().values():
+        lowest = posture.resting_surface()[:, 2].min()
+        assert abs(lowest) < 0.02, posture.name
+        assert len(surface_points(posture.limbs)) > 1000
