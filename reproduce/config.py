@@ -27,7 +27,7 @@ class LearnerConfig:
     gamma: float = 0.99
     """Discount; paper, section 4.1."""
     gae_lambda: float = 0.95
-    """Lambda of the advantage estimate; ML-Agents' default."""
+    """Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway."""
     clip_range: float = 0.2
     """epsilon, acceptable difference of old and new policy; paper, section 4.1."""
     ent_coef: float = 1.0e-4
@@ -50,7 +50,7 @@ class HierarchyConfig:
 
     interval: int = 5
     """N, steps between sub-goals (0.5 s); the paper leaves it open."""
-    beta: float = 1.0
+    beta: float = 2.0
     """Weight of INR's approach term, towards the sub-goal."""
     form: ApproachForm = "signed"
     """Form of INR's approach term."""
@@ -130,18 +130,21 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=1_500_000,
-    high=LearnerConfig(batch_size=256, sequence_length=16, ent_coef=2.0e-4, log_std_init=-1.0),
+    steps=1_400_000,
+    low=LearnerConfig(learning_rate=5.0e-4, final_learning_rate=5.0e-5, gae_lambda=0.7, log_std_init=-0.8),
+    high=LearnerConfig(batch_size=128, sequence_length=16, ent_coef=2.0e-4, log_std_init=-1.8),
 )
 
 #: Presets by name. ``laptop`` made the reference runs; ``paper`` has the paper's numbers where it gives them.
 PRESETS: dict[str, TrainingConfig] = {
-    "smoke": replace(_LAPTOP, steps=8_192, n_envs=8, low=LearnerConfig(n_steps=64, batch_size=256)),
+    "smoke": replace(_LAPTOP, steps=8_192, n_envs=8, low=replace(_LAPTOP.low, n_steps=64, batch_size=256)),
     "laptop": _LAPTOP,
     "paper": replace(
         _LAPTOP,
         steps=700_000_000,
-        low=LearnerConfig(n_steps=640, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64),
-        high=LearnerConfig(n_steps=640, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64),
+        low=replace(
+            _LAPTOP.low, n_steps=640, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64
+        ),
+        high=replace(_LAPTOP.high, batch_size=1024, n_epochs=3, final_learning_rate=1.0e-10, sequence_length=64),
     ),
 }

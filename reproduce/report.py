@@ -13,7 +13,7 @@ from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
 
 from reproduce.claims import compute_claims
-from reproduce.files import write_atomically
+from reproduce.files import write_text
 from reproduce.provenance import provenance
 from reproduce.tables import readable_table1
 
@@ -65,12 +65,8 @@ def build_report(notebooks: Path, results: Path) -> Path:
 </main></body></html>
 """
     target = results / "report" / "index.html"
-    write_atomically(target, lambda path: _write(path, page))
+    write_text(target, page)
     return target
-
-
-def _write(path: Path, page: str) -> None:
-    path.write_text(page, encoding="utf-8")
 
 
 def _title(name: str) -> str:

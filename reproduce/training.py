@@ -46,6 +46,7 @@ def train(
         "environment_version": ENVIRONMENT_VERSION,
         "training": to_dict(config),
     }
+    origin = provenance()  # of the code that trains; the checkout may move on while it does
     th.set_num_threads(THREADS)
     set_random_seed(seed)
     training = method.train(config, seed)
@@ -56,7 +57,8 @@ def train(
             rows = _read_rows(folder, progress.update)
             training.restart(progress.update)
         write_json(folder / "config.json", complete)
-        rows = _loop(training, complete, folder, progress, rows, quiet, method)
+        rows = _loop(training, complete, folder, progress, rows, quiet)
+        _finish(training, method, complete, folder, rows, origin)
     finally:
         training.close()
     return pd.DataFrame(rows)
@@ -82,12 +84,13 @@ def _loop(
     progress: Progress,
     rows: list[dict[str, Any]],
     quiet: bool,
-    method: Method,
 ) -> list[dict[str, Any]]:
     config = training.config
     begun = time.monotonic() - progress.seconds
     steps, update = progress.steps, progress.update
-    with tqdm(total=config.steps, initial=steps, unit="step", unit_scale=True, disable=quiet, desc=method.name) as bar:
+    with tqdm(
+        total=config.steps, initial=steps, unit="step", unit_scale=True, disable=quiet, desc=complete["method"]
+    ) as bar:
         while steps < config.steps:
             row = training.update(steps)
             steps, update = steps + training.steps_per_update, update + 1
@@ -99,14 +102,24 @@ def _loop(
                 _write_rows(folder, rows)
                 save_checkpoint(folder, training.learners, Progress(update, steps, seconds), complete)
                 training.restart(update)
-    seconds = time.monotonic() - begun
+    return rows
+
+
+def _finish(
+    training: Training,
+    method: Method,
+    complete: dict[str, Any],
+    folder: Path,
+    rows: list[dict[str, Any]],
+    origin: dict[str, Any],
+) -> None:
     _write_rows(folder, rows)
     export_policy(folder, method, training)
     # Written last: a folder with run.json is a finished run.
+    done = {"steps": int(rows[-1]["env_steps"]), "seconds": float(rows[-1]["seconds"])}
     summary = {"method": method.name, "seed": complete["seed"], "preset": complete["preset"]}
-    write_json(folder / "run.json", {**summary, **provenance(), "steps": steps, "seconds": round(seconds, 1)})
+    write_json(folder / "run.json", {**summary, **origin, **done})
     delete_checkpoint(folder)
-    return rows
 
 
 def _write_rows(folder: Path, rows: list[dict[str, Any]]) -> None:

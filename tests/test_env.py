@@ -13,8 +13,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
-from lunar_rescue.observation import ENTRIES, SIZE
-from lunar_rescue.scene import task_distribution
+from lunar_rescue.observation import ENTRIES, SIZE, SLICES
+from lunar_rescue.scene import MAX_ROCKS, task_distribution
 
 Step = tuple[NDArray[np.float32], float]
 
@@ -72,10 +72,13 @@ def test_every_posture_and_task_steps(env: LunarRescueEnv, posture: str, task: s
 
 def test_no_constant_observation() -> None:
     env = LunarRescueEnv()
-    seen = np.concatenate([[o for o, _ in play(env, sample_scene(s), 15)] for s in range(25)])
+    crowded = [s for s in map(sample_scene, range(1000)) if len(s.rocks) == MAX_ROCKS][:3]
+    scenes = [sample_scene(s) for s in range(25)] + crowded
+    seen = np.concatenate([[o for o, _ in play(env, scene, 15)] for scene in scenes])
     constant = np.flatnonzero(seen.std(axis=0) == 0)
     env.close()
-    assert len(constant) == 0, constant
+    # Only the flag of process 2 stays 0: random actions do not get both arms under (the scripted tests do).
+    assert [int(i) for i in constant] == [SLICES["phase"].start]
 
 
 def test_same_seed_same_trajectory_after_other_episodes(env: LunarRescueEnv) -> None:

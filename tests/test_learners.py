@@ -41,7 +41,14 @@ class Recall(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 def make(kind: type[RecurrentPPO], **kwargs: Any) -> RecurrentPPO:
     env = DummyVecEnv([Recall for _ in range(8)])
     learner = kind(
-        RecurrentNetwork, env, n_steps=24, batch_size=96, seed=1, device="cpu", policy_kwargs={"hidden_units": 32}, **kwargs
+        RecurrentNetwork,
+        env,
+        n_steps=24,
+        batch_size=96,
+        seed=1,
+        device="cpu",
+        policy_kwargs={"hidden_units": 32},
+        **kwargs,
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
@@ -101,7 +108,9 @@ def test_minibatches_hold_every_transition_once() -> None:
     size = 50
     bounds = np.array(sequence_bounds(np.arange(size) % 7 == 0, 0, 4), np.int64)
     column = np.arange(size, dtype=np.float32)
-    rollout = Rollout(column[:, None], column[:, None], column, column, column, column, np.zeros((size, 2, 3), np.float32), bounds)
+    rollout = Rollout(
+        column[:, None], column[:, None], column, column, column, column, np.zeros((size, 2, 3), np.float32), bounds
+    )
     rows = [int(r) for b in minibatches(rollout, 16, np.random.default_rng(0)) for r in b.rows]
     assert sorted(rows) == list(range(size))
     for batch in minibatches(rollout, 16, np.random.default_rng(1)):

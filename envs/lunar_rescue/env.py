@@ -20,6 +20,7 @@ from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot, RobotState
 from lunar_rescue.scene import TASKS, Scene, sample_scene
 from lunar_rescue.simulation import Simulation
 from lunar_rescue.tasks import (
+    BEARING_FORCE,
     HOLD_STEPS,
     MAX_STEPS,
     SMALLEST_ERROR,
@@ -307,10 +308,10 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         """Who touches the astronaut now."""
         e = self.episode
         handle = e.astronaut.handle
-        rows = self.simulation.contact_forces(self.robot.handle, handle)
-        loaded = {link for link, _, force in rows if float(force @ force) > 1.0}
-        plates = [bool(loaded & self.robot.arm_links[i]) for i in range(2)]
-        return Contacts(self.simulation.touching(handle, self.simulation.ground), (plates[0], plates[1]))
+        rows = self.simulation.contact_forces(handle, self.robot.handle)
+        up = [sum(force[2] for _, link, force in rows if link in links) for links in self.robot.arm_links]
+        bears = (bool(up[0] > BEARING_FORCE), bool(up[1] > BEARING_FORCE))
+        return Contacts(self.simulation.touching(handle, self.simulation.ground), bears)
 
     def _info(self, e: Episode, terms: dict[str, float], success: bool, failure: str | None) -> dict[str, Any]:
         return {

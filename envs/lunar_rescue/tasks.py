@@ -21,6 +21,7 @@ LIFT_ROLL = math.radians(
 )  # ... and rolled about it by less: who lay on a side may settle onto the back in the arms
 BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight up
 HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
+BEARING_FORCE = 10.0  # N upwards from an arm; a plate that only touches from the side does not carry
 LOST_TILT, LOST_ROLL = (
     math.radians(60.0),
     math.radians(110.0),
@@ -38,7 +39,7 @@ class Contacts:
 
     Attributes:
         ground: Astronaut touches the ground.
-        arms: Arm A and arm B press against the astronaut (2,).
+        arms: Arm A and arm B bear some of the astronaut's weight (2,).
     """
 
     ground: bool

@@ -30,7 +30,9 @@ from reproduce.sampling import TERMS, WorkerVecEnv
 SUBGOAL_SPACE = spaces.Box(-1.0, 1.0, (SUBGOAL_SIZE,), np.float32)
 LLN_SPACE = spaces.Box(-np.inf, np.inf, (LLN_SIZE,), np.float32)
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")]
+SHARED_TERMS = [
+    TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")
+]
 
 
 @dataclass
