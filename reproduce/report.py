@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import logging
 import re
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,10 @@ from reproduce.tables import readable_table1
 _DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
 _INLINE = re.compile(r"(?<![\\$\w])\$([^$\n]+?)\$(?![\w$])")
 _CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+
+FOLDED = """{%- extends 'basic/index.html.j2' -%}
+{%- block input -%}<details><summary>code</summary>{{ super() }}</details>{%- endblock input -%}
+"""
 
 STYLE = """
 :root { color-scheme: light dark; --text: #1d2129; --back: #fff; --soft: #f2f4f7; --line: #d5dae2; --link: #1556a8; }
@@ -93,12 +98,27 @@ def _summary(results: Path) -> str:
 
 def _render(path: Path) -> str:
     document = nbformat.read(path, as_version=4)
+    logging.getLogger("traitlets").setLevel(logging.ERROR)  # it asks for descriptions, which are added below
     for cell in document.cells:
         if cell.cell_type == "markdown":
             cell.source = with_mathml(cell.source)
-    exporter = HTMLExporter(template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True)
+    exporter = HTMLExporter(exclude_input_prompt=True, exclude_output_prompt=True)
+    exporter.raw_template = FOLDED
     body, _ = exporter.from_notebook_node(document)
-    return str(body)
+    return _describe_pictures(str(body))
+
+
+def _describe_pictures(body: str) -> str:
+    """Give each picture the heading above it as its description."""
+    heading = ""
+    pieces = []
+    for piece in re.split(r"(<h[12][^>]*>.*?</h[12]>|<img [^>]*>)", body, flags=re.DOTALL):
+        if piece.startswith("<h"):
+            heading = html.escape(re.sub(r"<[^>]+>|\u00b6", "", piece).strip(), quote=True)
+        elif piece.startswith("<img"):
+            piece = re.sub(r' alt="[^"]*"', "", piece).replace("<img ", f'<img alt="{heading}" ', 1)
+        pieces.append(piece)
+    return "".join(pieces)
 
 
 def with_mathml(text: str) -> str:

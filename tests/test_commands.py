@@ -115,7 +115,7 @@ def test_interrupted_and_uninterrupted_training_end_in_the_same_weights(tmp_path
         save(*args)  # type: ignore[arg-type]
         raise Stop
 
-    training.save_checkpoint = save_and_stop
+    training.save_checkpoint = save_and_stop  # type: ignore[assignment]
     try:
         with pytest.raises(Stop):
             train(method, config, 3, tmp_path / "parts", "smoke", quiet=True)

@@ -14,7 +14,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
 from lunar_rescue.observation import ENTRIES, SIZE, SLICES
-from lunar_rescue.scene import MAX_ROCKS, task_distribution
+from lunar_rescue.rocks import MAX_ROCKS
+from lunar_rescue.scene import task_distribution
 
 Step = tuple[NDArray[np.float32], float]
 

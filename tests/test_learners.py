@@ -57,7 +57,7 @@ def make(kind: type[RecurrentPPO], **kwargs: Any) -> RecurrentPPO:
 def collect(learner: RecurrentPPO) -> None:
     _, callback = learner._setup_learn(10_000, None)
     env: Any = learner.env
-    learner.collect_rollouts(env, callback, learner.rollout_buffer, learner.n_steps)  # type: ignore[arg-type]
+    learner.collect_rollouts(env, callback, learner.rollout_buffer, learner.n_steps)
 
 
 def test_losses_and_gradients_equal_the_stock_learners() -> None:
@@ -73,9 +73,11 @@ def test_losses_and_gradients_equal_the_stock_learners() -> None:
     loss.backward()
     mine = {n: p.grad.clone() for n, p in ours.policy.named_parameters() if p.grad is not None}
     ours.policy.zero_grad()
-    (stock,) = ours.rollout_buffer.get(None)
+    buffer: Any = ours.rollout_buffer
+    policy: Any = ours.policy
+    (stock,) = buffer.get(None)
     mask = stock.mask > 1e-8
-    values, log_prob, entropy = ours.policy.evaluate_actions(
+    values, log_prob, entropy = policy.evaluate_actions(
         stock.observations, stock.actions, stock.lstm_states, stock.episode_starts
     )
     advantages = (stock.advantages - stock.advantages[mask].mean()) / (stock.advantages[mask].std() + 1e-8)

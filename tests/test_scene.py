@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunar_rescue.postures import DATA_FILE, load_postures, postures
-from lunar_rescue.scene import MAX_ROCKS, TASKS, Scene, sample_scene, task_distribution
+from lunar_rescue.rocks import MAX_ROCKS
+from lunar_rescue.scene import TASKS, Scene, sample_scene, task_distribution
 from lunar_rescue.suit import mass_properties, suit_parts
 from lunar_rescue.targets import approach_sides, target_areas
 

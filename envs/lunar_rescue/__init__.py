@@ -5,7 +5,8 @@ import gymnasium
 from lunar_rescue.env import ENVIRONMENT_VERSION, LunarRescueEnv
 from lunar_rescue.postures import postures
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.scene import TASKS, Rock, Scene, sample_scene
+from lunar_rescue.rocks import Rock
+from lunar_rescue.scene import TASKS, Scene, sample_scene
 
 ENV_ID = "LunarRescue-v0"
 # The step limit lives in the environment (the time bonus needs it), so Gymnasium adds no second one.

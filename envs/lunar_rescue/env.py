@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -13,10 +13,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue import rewards
-from lunar_rescue.astronaut import Astronaut, AstronautState
+from lunar_rescue.astronaut import Astronaut
+from lunar_rescue.episode import Episode
 from lunar_rescue.observation import Observer, as_dict, observation_space
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot, RobotState
+from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot
 from lunar_rescue.scene import TASKS, Scene, sample_scene
 from lunar_rescue.simulation import Simulation
 from lunar_rescue.tasks import (
@@ -27,7 +28,6 @@ from lunar_rescue.tasks import (
     TARGET_RADIUS,
     TASK_TYPES,
     Contacts,
-    Task,
 )
 
 Array = NDArray[np.float64]
@@ -36,51 +36,7 @@ SEED_BITS = 2**31 - 1
 RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
 PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
 PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
-OVER = 0.15  # m above a target; an end higher than this has not slid in under the body
 REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
-
-
-@dataclass
-class Episode:
-    """What an episode remembers besides the simulation's state."""
-
-    scene: Scene
-    astronaut: Astronaut
-    task: Task
-    observer: Observer
-    rocks: list[int]
-    marks: Array  # (m, 3) [m]
-    order: list[int]  # which target belongs to arm A and arm B
-    robot: RobotState
-    body: AstronautState
-    recent: deque[Array]  # distances (2,) of the last steps; their least is D_m
-    process: int = 1
-    held: int = 0
-    steps: int = 0
-    rock_contact: bool = False
-    under_at: int | None = None
-
-    def targets(self) -> Array:
-        """P_G of arm A and arm B (2, 3) [m]."""
-        return self.astronaut.targets(self.body)[self.order]
-
-    def entries(self) -> Array:
-        """Where the way in to each target begins, before the body, of arm A and arm B (2, 3) [m]."""
-        return self.targets() + self.astronaut.ways_in[self.order]
-
-    def distances(self) -> Array:
-        """D of each arm end to its target area, plus a detour for an end over the body (2,) [m].
-
-        The straight way from over the body leads through it: such an end must first go back before the body, or down
-        beside it, so the smaller of height over ``OVER`` and depth behind the entry is added. This leaves no place but
-        the target where every small motion makes D larger, and D stays continuous (a jump could be crossed again and
-        again for reward; tried, see the training log).
-        """
-        from_target, ways = self.robot.ends - self.targets(), self.astronaut.ways_in[self.order]
-        length = np.sqrt((ways * ways).sum(axis=1))
-        depth = np.maximum(0.0, length - (from_target * ways).sum(axis=1) / length)
-        height = np.maximum(0.0, from_target[:, 2] - OVER)
-        return _lengths(from_target) + np.minimum(depth, height)
 
 
 class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
@@ -322,10 +278,6 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             "task": e.scene.task,
             "posture": e.scene.posture,
         }
-
-
-def _lengths(vectors: Array) -> Array:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + SMALLEST_ERROR
 
 
 def _checked_action(action: NDArray[np.floating[Any]]) -> Array:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from lunar_rescue.astronaut import AstronautState
 from lunar_rescue.robot import ARMS, JOINTS, WAIST, Robot, RobotState
-from lunar_rescue.scene import MAX_ROCKS, TASKS, Scene
+from lunar_rescue.rocks import MAX_ROCKS
+from lunar_rescue.scene import TASKS, Scene
 from lunar_rescue.suit import KEYPOINT_NAMES
 
 Array = NDArray[np.float64]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue.postures import Posture, postures
+from lunar_rescue.rocks import MAX_ROCKS, ROCK_SIZE_RANGE, Rock, draw_rock
 from lunar_rescue.suit import mass_properties, surface_points
 from lunar_rescue.targets import approach_sides, target_areas
 
@@ -20,7 +21,6 @@ Array = NDArray[np.float64]
 
 TASKS = ("lift", "turn_over")
 TERRAINS = ("smooth",)
-MAX_ROCKS = 7  # most rocks of 10 cm or more that the cited laws put into a 2 m x 2 m work area
 
 MASS_RANGE = (160.0, 343.0)  # kg, Apollo suited person to NASA's suited, incapacitated Artemis crew member
 FRICTION_RANGE = (0.7, 0.9)  # regolith friction angle 35 to 42 deg (NTRS 19730039283)
@@ -28,69 +28,6 @@ DISTANCE_RANGE = (0.85, 0.97)  # m, base to the body's long axis; assumption: wi
 NEAR_EDGE_FREE = 0.40  # m, a body that reaches further towards the robot than this moves the base back by the rest
 SIDEWAYS_RANGE = (-0.08, 0.08)  # m, base along the body; assumption
 YAW_ERROR_RANGE = (-6.0, 6.0)  # deg, base from facing the body squarely; assumption
-ROCK_SIZE_RANGE = (0.10, 0.30)  # m, diameter; larger rocks would be driven around
-ROCK_EXPONENT = -1.755  # VIPER intercrater, N(>=D) ~ D^exponent (NASA rock specification)
-ROCK_ASPECT = (
-    0.6,
-    0.14,
-    0.35,
-    0.95,
-)  # height/diameter: mean, spread, least, most (same source; spread halved)
-ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
-WORK_AREA = 1.15  # m, half side of the square around the astronaut in which rocks lie
-
-
-@dataclass(frozen=True)
-class Rock:
-    """One rock, half buried.
-
-    Attributes:
-        x: Position in the world [m].
-        y: Position in the world [m].
-        diameter: Mean horizontal diameter [m].
-        height: Whole height, buried part included [m].
-        buried: Share of the height under the ground.
-        yaw: Heading [rad].
-        shape: Seed of the surface's bumps.
-    """
-
-    x: float
-    y: float
-    diameter: float
-    height: float
-    buried: float
-    yaw: float
-    shape: int
-
-    def vertices(self) -> Array:
-        """Corners of the convex hull in the world, (12, 3) [m]."""
-        rng = np.random.default_rng(self.shape)
-        bumps = rng.uniform(0.85, 1.1, (len(_ICOSAHEDRON), 1))
-        scaled = _ICOSAHEDRON * bumps * [self.diameter / 2, self.diameter / 2, self.height / 2]
-        turned = Rotation.from_euler("z", self.yaw).apply(scaled)
-        return turned + [self.x, self.y, self.height * (0.5 - self.buried)]
-
-    def marks(self) -> Array:
-        """Mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
-        corners = self.vertices()
-        top = corners[np.argmax(corners[:, 2])]
-        centre = np.array([self.x, self.y, 0.5 * top[2]])
-        radius = 0.5 * self.diameter * 0.95
-        angles = self.yaw + np.arange(4) * np.pi / 2
-        ring = centre + radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
-        return np.vstack([top, ring])
-
-
-def _icosahedron() -> Array:
-    golden = (1 + math.sqrt(5)) / 2
-    corners: list[tuple[float, float, float]] = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a, b * golden, 0) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a * golden, 0, b) for a in (-1, 1) for b in (-1, 1)]
-    array = np.array(corners, dtype=np.float64)
-    return array / np.linalg.norm(array[0])
-
-
-_ICOSAHEDRON = _icosahedron()
 
 
 @dataclass(frozen=True)
@@ -278,7 +215,7 @@ def _draw_rocks(
     targets = spin.apply(areas)[:, :2] + [x, y]
     rocks: list[Rock] = []
     for _ in range(int(rng.integers(0, MAX_ROCKS + 1))):
-        rock = _draw_rock(rng, (x, y))
+        rock = draw_rock(rng, (x, y))
         spot, radius = np.array([rock.x, rock.y]), 0.55 * rock.diameter
         clear = [
             np.linalg.norm(body - spot, axis=1).min() > radius + 0.04,
@@ -299,23 +236,6 @@ def _in_corridor(spot: Array, radius: float, targets: Array, base: tuple[float, 
     ahead = relative @ forward
     aside = np.abs(relative @ np.array([-forward[1], forward[0]]))
     return bool(np.any((ahead > -0.35) & (ahead < 0.15) & (aside < radius + 0.10)))
-
-
-def _draw_rock(rng: np.random.Generator, centre: tuple[float, float]) -> Rock:
-    smallest, largest = ROCK_SIZE_RANGE
-    diameter = min(smallest * float(rng.uniform()) ** (1 / ROCK_EXPONENT), largest)
-    mean, spread, least, most = ROCK_ASPECT
-    aspect = float(np.clip(rng.normal(mean, spread), least, most))
-    dx, dy = rng.uniform(-WORK_AREA, WORK_AREA, 2)
-    return Rock(
-        x=float(centre[0] + dx),
-        y=float(centre[1] + dy),
-        diameter=diameter,
-        height=aspect * diameter,
-        buried=float(rng.uniform(*ROCK_BURIED)),
-        yaw=float(rng.uniform(0, 2 * np.pi)),
-        shape=int(rng.integers(2**31)),
-    )
 
 
 def rest_pose(scene: Scene) -> tuple[Array, Rotation]:

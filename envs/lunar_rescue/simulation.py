@@ -27,10 +27,8 @@ SUBSTEP = 0.02  # s; coarser than on Earth will do, as everything falls six time
 SOLVER_ITERATIONS = 20
 POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no motor exceeds its speed limit
 RESTITUTION = 0.0  # regolith does not bounce
-SPINNING_FRICTION, ROLLING_FRICTION = (
-    0.01,
-    0.005,
-)  # m; small, they stop a rocking body as dust would (assumption)
+# Small, they stop a rocking body as dust would (assumption) [m].
+SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
 
 

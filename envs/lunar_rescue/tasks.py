@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,22 +15,16 @@ Array = NDArray[np.float64]
 
 MAX_STEPS = 120  # phi_max: 12 s; the script needs 3 to 7 s
 TARGET_RADIUS = 0.10  # m, an arm end is in its target area within this; the plate is 0.15 m wide
-LIFT_HEIGHT = 0.20  # m, transport height: over every rock of the work area (at most 0.17 m above ground)
-LIFT_TILT = math.radians(30.0)  # "attitude kept": the body's long axis within this of level as at rest ...
-LIFT_ROLL = math.radians(
-    75.0
-)  # ... and rolled about it by less: who lay on a side may settle onto the back in the arms
+LIFT_HEIGHT = 0.20  # m, transport height: over every rock of the work area (at most 0.19 m above ground)
+# "Attitude kept": the long axis stays within LIFT_TILT of level as at rest, and the body rolls about it by less than
+# LIFT_ROLL, as a rigid body does when it settles into two arms. Beyond the second pair it has been dropped.
+LIFT_TILT, LIFT_ROLL = math.radians(30.0), math.radians(75.0)
+LOST_TILT, LOST_ROLL = math.radians(60.0), math.radians(110.0)
 BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight up
 HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
 BEARING_FORCE = 10.0  # N upwards from an arm; a plate that only touches from the side does not carry
-LOST_TILT, LOST_ROLL = (
-    math.radians(60.0),
-    math.radians(110.0),
-)  # a lift beyond either has dropped the astronaut
-LOST_DISTANCE = {
-    1: 0.6,
-    2: 1.6,
-}  # m, centre of gravity from its start; beyond it the arms cannot follow (by process)
+# Horizontal way of the centre of gravity from its start beyond which the arms cannot follow, by process [m].
+LOST_DISTANCE = {1: 0.6, 2: 1.6}
 SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the reward functions want them
 
 
@@ -46,7 +41,7 @@ class Contacts:
     arms: tuple[bool, bool]
 
 
-class Task:
+class Task(ABC):
     """What the second process wants; one instance an episode."""
 
     name: str
@@ -55,17 +50,17 @@ class Task:
         """Remember the pose at rest."""
         self.start = start
 
+    @abstractmethod
     def pose_error(self, state: AstronautState) -> float:
         """Distance of the pose from the goal pose, positive; about 1 at the start of the second process."""
-        raise NotImplementedError  # pragma: no cover
 
+    @abstractmethod
     def pose_reached(self, state: AstronautState) -> bool:
         """Whether pose and centre of gravity are in the target state, contacts aside."""
-        raise NotImplementedError  # pragma: no cover
 
+    @abstractmethod
     def contacts_right(self, contacts: Contacts) -> bool:
         """Whether the pose is held the way the task wants it."""
-        raise NotImplementedError  # pragma: no cover
 
     def failure(self, state: AstronautState, process: int) -> str | None:
         """A word for what went wrong beyond repair, or None."""

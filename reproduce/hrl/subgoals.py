@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.env import OVER
+from lunar_rescue.episode import OVER
 from lunar_rescue.observation import SIZE, SLICES
 
 Floats = NDArray[np.float32]

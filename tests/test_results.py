@@ -1,0 +1,136 @@
+"""Statistics on tables worked by hand, and claims and tables from made-up results folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reproduce import arithmetic
+from reproduce.claims import compute_claims
+from reproduce.errors import UserError
+from reproduce.report import with_mathml
+from reproduce.results import reference_runs
+from reproduce.splits import TEST, TRAIN, VALIDATION, train_seed
+from reproduce.statistics import count_by, summarise, wilson
+from reproduce.tables import readable_table1, table1
+
+
+def test_wilson_gives_the_papers_intervals() -> None:
+    assert wilson(986, 1000) == pytest.approx((0.9766, 0.9916), abs=1e-4)
+    low, high = wilson(5, 10)  # by hand: centre 0.5, half width z sqrt(0.025 + z^2 / 400) / (1 + z^2 / 10)
+    assert (low, high) == pytest.approx((0.2366, 0.7634), abs=1e-4)
+    assert wilson(0, 0) == (0.0, 1.0)
+    with pytest.raises(ValueError, match="successes"):
+        wilson(3, 2)
+
+
+def _episode(success: bool, task: str, posture: str, failure: str | None, under: bool = True) -> dict[str, Any]:
+    return {"is_success": success, "both_arms_under": under, "failure": failure, "task": task, "posture": posture}
+
+
+def test_summary_by_hand() -> None:
+    episodes = [
+        _episode(True, "lift", "a", None),
+        _episode(False, "lift", "b", "timeout", under=False),
+        _episode(True, "turn_over", "b", None),
+        _episode(False, "turn_over", "b", "timeout"),
+    ]
+    found = summarise(episodes)
+    assert (found["tests"], found["successes"], found["success_rate"], found["both_arms_under"]) == (4, 2, 0.5, 0.75)
+    assert found["by_posture"] == {"a": {"tests": 1, "successes": 1}, "b": {"tests": 3, "successes": 1}}
+    assert found["failures"] == {"timeout": 2}
+    assert count_by(episodes, "task")["lift"] == {"tests": 2, "successes": 1}
+
+
+def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: float = 0.1) -> Path:
+    """A results folder: for each method (successes, tests) of each seed."""
+    for method, seeds in runs.items():
+        for seed, (successes, tests) in enumerate(seeds):
+            run = folder / "reference" / method / f"seed{seed}"
+            run.mkdir(parents=True)
+            low, high = wilson(successes, tests)
+            evaluation = {
+                "tests": tests, "successes": successes, "success_rate": successes / tests, "wilson_low": low,
+                "wilson_high": high, "seconds_per_test": per_test,
+                "by_posture": {f"p{i}": {"tests": tests // 20, "successes": successes // 20} for i in range(20)},
+            }  # fmt: skip
+            (run / "evaluation.json").write_text(json.dumps(evaluation))
+            (run / "run.json").write_text(json.dumps({"steps": 1000, "seconds": 120.0}))
+    return folder
+
+
+def _verdicts(folder: Path) -> dict[str, str]:
+    return {claim.id: claim.verdict for claim in compute_claims(folder)}
+
+
+def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
+    assert set(_verdicts(tmp_path).values()) == {"inconclusive"}
+    assert table1(tmp_path).empty
+    assert "no run in results/ yet" in set(readable_table1(tmp_path)["ours, success [95 % interval]"])
+
+
+def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
+    many = {"hrl_dcs": [(985, 1000)] * 5, "hrl_dcs_no_aapf": [(870, 1000)] * 5, "fun": [(990, 1000)] * 5}
+    found = _verdicts(_results(tmp_path, many))
+    assert found["C4"] == "verified"
+    assert found["C3"] == "contradicted"
+    assert found["C5"] == "verified"
+    assert found["C6"] == "verified"
+    assert found["C7"] == "verified"
+    assert found["C8"] == "inconclusive"
+
+
+def test_overlapping_intervals_are_inconclusive(tmp_path: Path) -> None:
+    found = _verdicts(_results(tmp_path, {"hrl_dcs": [(900, 1000)] * 5, "hrl_dcs_no_aapf": [(898, 1000)] * 5}))
+    assert found["C4"] == "inconclusive"
+    assert found["C5"] == "contradicted"
+
+
+def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": [(196, 200)], "hrl_dcs_no_aapf": [(100, 200)]}, per_test=0.9)
+    claims = {claim.id: claim for claim in compute_claims(folder)}
+    assert claims["C4"].verdict == "reduced scale" and "by the rule alone verified" in claims["C4"].evidence
+    assert claims["C6"].verdict == "reduced scale"
+    assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, 1000)
+
+
+def test_table1_has_the_contract_s_columns(tmp_path: Path) -> None:
+    table = table1(_results(tmp_path, {"hrl_dcs": [(50, 100)]}))
+    assert list(table.columns) == [
+        "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
+        "paper_success_rate",
+    ]  # fmt: skip
+    assert table.iloc[0]["minutes"] == 2.0 and table.iloc[0]["paper_success_rate"] == 0.986
+
+
+def test_strange_reference_folders_are_named(tmp_path: Path) -> None:
+    (tmp_path / "reference" / "hrl_dcs" / "seedling").mkdir(parents=True)
+    with pytest.raises(UserError, match="seedling"):
+        reference_runs(tmp_path)
+
+
+def test_dwelling_against_finishing_by_hand() -> None:
+    # gamma 0.5, 3 steps: 1 + 0.5 + 0.25; finishing in step 2: 1 + 0.5 + 0.5 (1 - 0.9 * 2 / 3)
+    assert arithmetic.dwelling("literal", 1.0, 0.5, 3) == pytest.approx(1.75)
+    assert arithmetic.finishing("literal", 1.0, 0.5, 3, 2) == pytest.approx(1.5 + 0.5 * 0.4)
+    assert arithmetic.dwelling("signed", 1.0, 0.5, 3) == 0.0
+    assert arithmetic.finishing("signed", 1.0, 0.5, 3, 2, factor=2.0) == pytest.approx(0.5 * 2.0 * 0.4)
+    beta = arithmetic.largest_honest_beta(0.99, 120, 40)
+    same = [f("literal", beta, 0.99, 120, *a) for f, a in ((arithmetic.dwelling, ()), (arithmetic.finishing, (40,)))]
+    assert same[0] == pytest.approx(same[1])
+
+
+def test_splits_do_not_meet() -> None:
+    assert TEST.stop <= VALIDATION.start and VALIDATION.stop <= TRAIN.start
+    drawn = {train_seed(0, env, 0, episode) for env in range(16) for episode in range(50)}
+    assert len(drawn) == 800 and all(seed in TRAIN for seed in drawn)
+    assert train_seed(0, 1, 2, 3) == train_seed(0, 1, 2, 3) != train_seed(1, 1, 2, 3)
+
+
+def test_mathematics_becomes_mathml_outside_code() -> None:
+    made = with_mathml("cost $a^2$ and `$HOME` and $$\\sum_i x_i$$")
+    assert made.count("<math") == 2 and "`$HOME`" in made
+    assert with_mathml("5 $ and 6 $") == "5 $ and 6 $"
