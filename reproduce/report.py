@@ -39,7 +39,7 @@ nav a { margin-right: 1rem; color: var(--link); white-space: nowrap; }
 a { color: var(--link); }
 h1 { line-height: 1.25; border-top: 1px solid var(--line); padding-top: 2rem; }
 img, svg { max-width: 100%; height: auto; background: #fff; }
-table { border-collapse: collapse; margin: 1rem 0; display: block; overflow-x: auto; font-size: .9rem; }
+table { border-collapse: collapse; border: 0; margin: 1rem 0; display: block; overflow-x: auto; font-size: .9rem; }
 th, td { border: 1px solid var(--line); padding: .25rem .6rem; text-align: left; vertical-align: top; }
 pre { background: var(--soft); padding: .75rem; overflow-x: auto; font-size: .85rem; white-space: pre-wrap; }
 details { margin: .5rem 0; } summary { cursor: pointer; opacity: .7; font-size: .85rem; }

@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pybullet as pb
 from numpy.typing import NDArray
-from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.quiet import no_greeting
 from lunar_rescue.suit import Limbs, MassProperties, Part, mass_properties, suit_parts
+
+with no_greeting():
+    import pybullet as pb
+    from pybullet_utils.bullet_client import BulletClient
 
 Array = NDArray[np.float64]
 
@@ -45,7 +48,8 @@ class Simulation:
 
     def __init__(self, gui: bool = False) -> None:
         """Connect and load what never changes: ground and robot."""
-        self._client: Any = BulletClient(pb.GUI if gui else pb.DIRECT)
+        with no_greeting():
+            self._client: Any = BulletClient(pb.GUI if gui else pb.DIRECT)
         self._client.setGravity(0, 0, -LUNAR_GRAVITY)
         self._client.setPhysicsEngineParameter(
             fixedTimeStep=SUBSTEP, numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1
