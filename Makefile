@@ -1,5 +1,5 @@
 # `make help` lists the targets. Everything runs in .venv, which is set up once and again only when the lock changes.
-PYTHON ?= python3.11
+PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
@@ -24,7 +24,7 @@ setup: $(STAMP)  ## make .venv with the exact versions of requirements.lock
 
 reproduce: $(STAMP)  ## the main job in its short form: train, run the notebooks, build results/report/index.html
 	$(BIN)/reproduce notebooks --preset smoke
-	$(BIN)/reproduce claims
+	$(BIN)/reproduce claims --json results/report/claims.json
 	@echo "report: results/report/index.html"
 
 test: $(STAMP)  ## lint, types and tests (under 15 minutes on 2 cores)
@@ -54,6 +54,7 @@ evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each
 		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; done
 	$(BIN)/reproduce table1
 	$(BIN)/reproduce claims
+	$(BIN)/python -m reproduce.readme
 
 bench: $(STAMP)  ## measure speed
 	$(BIN)/reproduce bench

@@ -11,8 +11,9 @@ import pytest
 from reproduce import arithmetic
 from reproduce.claims import compute_claims
 from reproduce.errors import UserError
+from reproduce.readme import BLOCK, results_block
 from reproduce.report import with_mathml
-from reproduce.results import reference_runs
+from reproduce.results import ROOT, reference_runs
 from reproduce.splits import TEST, TRAIN, VALIDATION, train_seed
 from reproduce.statistics import count_by, summarise, wilson
 from reproduce.tables import readable_table1, table1
@@ -128,6 +129,13 @@ def test_splits_do_not_meet() -> None:
     drawn = {train_seed(0, env, 0, episode) for env in range(16) for episode in range(50)}
     assert len(drawn) == 800 and all(seed in TRAIN for seed in drawn)
     assert train_seed(0, 1, 2, 3) == train_seed(0, 1, 2, 3) != train_seed(1, 1, 2, 3)
+
+
+def test_readme_holds_what_results_say() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = BLOCK.search(text)
+    assert found is not None
+    assert found.group(0) == found.group(1) + results_block() + found.group(2)
 
 
 def test_mathematics_becomes_mathml_outside_code() -> None:

@@ -6,24 +6,33 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 
 @contextmanager
 def no_greeting() -> Iterator[None]:
-    """Send what C code prints to nowhere meanwhile; does nothing where file descriptor 1 is closed."""
-    sys.stdout.flush()
+    """Send what C code prints to nowhere meanwhile."""
+    with ExitStack() as stack:
+        for descriptor, stream in ((1, sys.stdout), (2, sys.stderr)):
+            stream.flush()
+            stack.enter_context(_to_nowhere(descriptor))
+        yield
+
+
+@contextmanager
+def _to_nowhere(descriptor: int) -> Iterator[None]:
+    """Redirect one file descriptor; does nothing where it is closed."""
     try:
-        kept = os.dup(1)
+        kept = os.dup(descriptor)
     except OSError:
         yield
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 1)
+        os.dup2(nowhere, descriptor)
         yield
     finally:
         ctypes.CDLL(None).fflush(None)  # C buffers its output when it goes to a pipe
-        os.dup2(kept, 1)
+        os.dup2(kept, descriptor)
         os.close(kept)
         os.close(nowhere)
