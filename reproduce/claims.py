@@ -13,8 +13,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from reproduce.files import write_json
 from reproduce.provenance import record_origin
@@ -241,9 +239,7 @@ def write_claims(claims: list[Claim], path: Path | None = None) -> Path:
 
 
 def print_claims(claims: list[Claim]) -> None:
-    """Print the table."""
-    table = Table("id", "claim", "paper", "measured", "verdict", "evidence")
+    """Print a line a claim."""
     for c in claims:
-        measured = "-" if c.measured is None or c.low is None else f"{c.measured:.3f} [{c.low:.3f}, {c.high:.3f}]"
-        table.add_row(c.id, c.statement, c.paper, measured, c.verdict, c.evidence)
-    Console().print(table)
+        measured = "" if c.measured is None or c.low is None else f" {c.measured:.3f} [{c.low:.3f}, {c.high:.3f}];"
+        print(f"{c.id} {c.verdict}: {c.statement} (paper: {c.paper});{measured} {c.evidence}")
