@@ -9,14 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from reproduce.errors import RunFailedError, UserError
 
+# Typer may bring a Click of its own, so the base of its errors is looked up and not imported.
+CommandLineError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
@@ -162,16 +163,13 @@ def main() -> None:
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
     try:
         code = app(standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as error:
-        typer.echo(error.format_message())
-        code = 2
-    except click.ClickException as error:
+    except CommandLineError as error:
         code = _complain(error.format_message())
     except (UserError, ValueError) as error:
         code = _complain(str(error))
     except RunFailedError as error:
         code = _complain(str(error)) and 1
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted; an unfinished training goes on with --resume") and 130
     sys.exit(code if isinstance(code, int) else 0)
 

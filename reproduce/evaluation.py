@@ -66,7 +66,7 @@ def _test(seed: int, posture: str | None, task: str | None) -> dict[str, Any]:
     return run_episode(_STATE["env"], _STATE["policy"], sample_scene(seed, posture=posture, task=task))
 
 
-def test_scenes(
+def rescue_scenes(
     where: str | Path,
     tests: int,
     first_seed: int = 0,
@@ -100,7 +100,7 @@ def evaluate(where: str | Path, tests: int, first_seed: int = 0, quiet: bool = F
     """What ``evaluation.json`` holds."""
     method, _ = find_policy(where)
     begun = time.monotonic()
-    rows = test_scenes(where, tests, first_seed, quiet=quiet)
+    rows = rescue_scenes(where, tests, first_seed, quiet=quiet)
     seconds = time.monotonic() - begun
     return {
         "method": method.name,

@@ -16,7 +16,7 @@ LARGEST_JSON = 20_000_000  # bytes; nothing of ours comes near
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Write to a temporary name beside ``path``, then rename."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")  # film writers go by the ending
     try:
         write(temporary)
         os.replace(temporary, path)

@@ -162,6 +162,7 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
             failed,
             parameters=parameters,
             kernel_name="python3",
+            language="python",
             cwd=root,
             progress_bar=True,
             autosave_cell_every=0,

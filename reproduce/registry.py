@@ -150,8 +150,10 @@ def get_method(name: str) -> Method:
 
 def load_policy(folder: Path) -> tuple[Method, Policy]:
     """The method and policy of a run folder."""
-    method = get_method(read_policy_json(folder)["method"])
-    return method, method.act(folder)
+    name = read_policy_json(folder)["method"]
+    if name not in METHODS:
+        raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(METHODS)}; got {name!r}")
+    return METHODS[name], METHODS[name].act(folder)
 
 
 def export_policy(folder: Path, method: Method, training: Training) -> None:

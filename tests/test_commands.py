@@ -18,7 +18,7 @@ from safetensors.torch import load_file, save_file
 
 from reproduce.config import PRESETS, from_dict, to_dict
 from reproduce.errors import RunFailedError, UserError
-from reproduce.evaluation import evaluate, test_scenes
+from reproduce.evaluation import evaluate, rescue_scenes
 from reproduce.notebooks import check_parameters, find_notebooks, is_complete, parse_assignments, run_notebooks
 from reproduce.registry import METHODS, load_policy
 from reproduce.training import train
@@ -64,7 +64,7 @@ def test_every_learning_method_trains_and_acts(name: str, tmp_path: Path) -> Non
     config = replace(METHODS[name].config("smoke"), steps=512, n_envs=2)
     curve = train(METHODS[name], config, 0, tmp_path / "run", "smoke", quiet=True)
     assert np.isfinite(curve["seconds"]).all()
-    rows = test_scenes(tmp_path / "run", 2, quiet=True)
+    rows = rescue_scenes(tmp_path / "run", 2, quiet=True)
     assert [row["seed"] for row in rows] == [0, 1]
     method, _ = load_policy(tmp_path / "run")
     assert method.name == name
@@ -84,8 +84,8 @@ def test_evaluation_has_the_contract_s_fields(run: Path, tmp_path: Path) -> None
 
 
 def test_results_do_not_depend_on_workers_or_neighbours(run: Path) -> None:
-    together = test_scenes(run, 6, workers=2, quiet=True)
-    alone = [row for seed in range(6) for row in test_scenes(run, 1, first_seed=seed, workers=1, quiet=True)]
+    together = rescue_scenes(run, 6, workers=2, quiet=True)
+    alone = [row for seed in range(6) for row in rescue_scenes(run, 1, first_seed=seed, workers=1, quiet=True)]
     assert together == alone
 
 
@@ -134,7 +134,7 @@ BAD_CALLS = [
     (["train", "hrl_dcs", "--out", "x", "--preset", "huge"], "huge"),
     (["train", "hrl_dcs", "--out", "x", "--steps", "0"], "--steps"),
     (["train", "hrl_dcs", "--out", "x", "--steps", "-1"], "--steps"),
-    (["train", "hrl_dcs", "--out", "x", "--steps", "many"], "many"),
+    (["train", "hrl_dcs", "--out", "x", "--steps", "many"], "--steps"),
     (["train", "hrl_dcs", "--out", "x", "--seed", "-1"], "--seed"),
     (["train", "hrl_dcs", "--out", "x", "--resume"], "checkpoint"),
     (["train", "hrl_dcs"], "--out"),

@@ -17,7 +17,7 @@ from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import SIZE
 from reproduce.actions import LARGEST_CHANGE, to_environment
 from reproduce.config import PRESETS
-from reproduce.evaluation import test_scenes
+from reproduce.evaluation import rescue_scenes
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     REACH,
@@ -140,12 +140,12 @@ def test_acting_in_a_batch_keeps_memories_apart() -> None:
 
 def test_scripted_rescues_most_scenes() -> None:
     """60 % of all scenes is the bar; with 40 tests a method at 79 % falls under 22 successes less than once in 1000."""
-    rows = test_scenes("scripted", 40, quiet=True)
+    rows = rescue_scenes("scripted", 40, quiet=True)
     assert sum(row["is_success"] for row in rows) >= 22
 
 
 def test_random_actions_rescue_nobody() -> None:
-    assert not any(row["is_success"] for row in test_scenes("random", 10, quiet=True))
+    assert not any(row["is_success"] for row in rescue_scenes("random", 10, quiet=True))
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])

@@ -56,7 +56,7 @@ def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: flo
             evaluation = {
                 "tests": tests, "successes": successes, "success_rate": successes / tests, "wilson_low": low,
                 "wilson_high": high, "seconds_per_test": per_test,
-                "by_posture": {f"p{i}": {"tests": tests // 20, "successes": successes // 20} for i in range(20)},
+                "by_posture": {f"p{i}": {"tests": tests // 20, "successes": -(-successes // 20)} for i in range(20)},
             }  # fmt: skip
             (run / "evaluation.json").write_text(json.dumps(evaluation))
             (run / "run.json").write_text(json.dumps({"steps": 1000, "seconds": 120.0}))
@@ -74,7 +74,7 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
 
 
 def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
-    many = {"hrl_dcs": [(985, 1000)] * 5, "hrl_dcs_no_aapf": [(870, 1000)] * 5, "fun": [(990, 1000)] * 5}
+    many = {"hrl_dcs": [(985, 1000)] * 5, "hrl_dcs_no_aapf": [(870, 1000)] * 5, "fun": [(998, 1000)] * 5}
     found = _verdicts(_results(tmp_path, many))
     assert found["C4"] == "verified"
     assert found["C3"] == "contradicted"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.uint8]
 
-SIZE = (480, 360)  # px
+SIZE = (480, 352)  # px, multiples of 16 as films want them
 DISTANCE = 3.0  # m, camera from the point between robot and astronaut
 PITCH = -28.0  # deg
 TURN = 52.0  # deg, camera beside the line from robot to astronaut

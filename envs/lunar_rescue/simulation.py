@@ -32,6 +32,9 @@ POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no 
 RESTITUTION = 0.0  # regolith does not bounce
 # Small, they stop a rocking body as dust would (assumption) [m].
 SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
+# Colours (red, green, blue, opacity), and the black sky of a place without air.
+REGOLITH, SUIT, ROCK = (0.62, 0.60, 0.56, 1.0), (0.95, 0.94, 0.90, 1.0), (0.36, 0.33, 0.30, 1.0)
+SKY = (12, 12, 18)
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
 
 
@@ -55,7 +58,10 @@ class Simulation:
             fixedTimeStep=SUBSTEP, numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1
         )
         shape = self._client.createCollisionShape(pb.GEOM_PLANE)
-        self.ground: int = self._client.createMultiBody(0, shape)
+        sight = self._client.createVisualShape(
+            pb.GEOM_BOX, halfExtents=(30, 30, 0.01), visualFramePosition=(0, 0, -0.01), rgbaColor=REGOLITH
+        )
+        self.ground: int = self._client.createMultiBody(0, shape, sight)
         self._removable: list[int] = []
         self.friction = 0.8
 
@@ -104,6 +110,7 @@ class Simulation:
             spinningFriction=SPINNING_FRICTION,
             rollingFriction=ROLLING_FRICTION,
         )
+        self._client.changeVisualShape(handle, -1, rgbaColor=SUIT)
         self._set_friction(handle)
         self._removable.append(handle)
         return RigidBody(handle, _inverse_axes(properties))
@@ -126,6 +133,7 @@ class Simulation:
         centre = vertices.mean(axis=0)
         shape = self._client.createCollisionShape(pb.GEOM_MESH, vertices=(vertices - centre).tolist())
         handle = int(self._client.createMultiBody(0, shape, -1, centre.tolist()))
+        self._client.changeVisualShape(handle, -1, rgbaColor=ROCK)
         self._set_friction(handle)
         self._removable.append(handle)
         return handle
@@ -249,7 +257,7 @@ class Simulation:
         width, height = size
         view = self._client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
         projection = self._client.computeProjectionMatrixFOV(45, width / height, 0.05, 30)
-        image = self._client.getCameraImage(
+        _, _, colours, _, bodies = self._client.getCameraImage(
             width,
             height,
             view,
@@ -257,11 +265,13 @@ class Simulation:
             renderer=pb.ER_TINY_RENDERER,
             shadow=1,
             lightDirection=(2, -1.5, 2),
-            lightAmbientCoeff=0.45,
-            lightDiffuseCoeff=0.6,
+            lightAmbientCoeff=0.5,
+            lightDiffuseCoeff=0.65,
             lightSpecularCoeff=0.05,
-        )[2]
-        return np.reshape(np.asarray(image, dtype=np.uint8), (height, width, 4))[:, :, :3].copy()
+        )
+        picture = np.reshape(np.asarray(colours, dtype=np.uint8), (height, width, 4))[:, :, :3].copy()
+        picture[np.reshape(bodies, (height, width)) < 0] = SKY
+        return picture
 
 
 def _inverse_axes(properties: MassProperties) -> Rotation:
