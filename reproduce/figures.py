@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
-from lunar_rescue.rendering import picture
+from lunar_rescue.rendering import GALLERY_TURN, picture
 from lunar_rescue.scene import body_surface
 
 Array = NDArray[np.float64]
@@ -23,14 +23,14 @@ sns.set_theme(context="notebook", style="whitegrid")
 
 
 def posture_gallery() -> Figure:
-    """P8: a picture of each of the 20 postures, from the robot's side."""
+    """P8: a picture of each of the 20 postures, from beyond the body."""
     env = LunarRescueEnv(render_mode="rgb_array")
     try:
         pictures = []
         for name in postures():
             scene = sample_scene(0, posture=name)
             env.reset(options={"scene": scene})
-            pictures.append((name, picture(env.simulation, scene, (320, 240), turn=70.0)))
+            pictures.append((name, picture(env.simulation, scene, (320, 240), GALLERY_TURN)))
     finally:
         env.close()
     return picture_grid(pictures, columns=5)

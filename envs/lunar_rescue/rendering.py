@@ -17,6 +17,7 @@ SIZE = (480, 352)  # px, multiples of 16 as films want them
 DISTANCE = 3.0  # m, camera from the point between robot and astronaut
 PITCH = -28.0  # deg
 TURN = 52.0  # deg, camera beside the line from robot to astronaut
+GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
 
 
 def picture(simulation: Simulation, scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Picture:

@@ -35,6 +35,7 @@ SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
 # Colours (red, green, blue, opacity), and the black sky of a place without air.
 REGOLITH, SUIT, ROCK = (0.62, 0.60, 0.56, 1.0), (0.95, 0.94, 0.90, 1.0), (0.36, 0.33, 0.30, 1.0)
 SKY = (12, 12, 18)
+SUN_BESIDE = 40.0  # deg, the sun stands this far beside the camera, so that shapes show
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
 
 
@@ -255,6 +256,7 @@ class Simulation:
     ) -> NDArray[np.uint8]:
         """Take a picture with the software renderer, (height, width, 3); angles [deg], distance [m]."""
         width, height = size
+        sun = math.radians(yaw + SUN_BESIDE)
         view = self._client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
         projection = self._client.computeProjectionMatrixFOV(45, width / height, 0.05, 30)
         _, _, colours, _, bodies = self._client.getCameraImage(
@@ -264,7 +266,7 @@ class Simulation:
             projection,
             renderer=pb.ER_TINY_RENDERER,
             shadow=1,
-            lightDirection=(2, -1.5, 2),
+            lightDirection=(math.sin(sun), -math.cos(sun), 0.9),
             lightAmbientCoeff=0.5,
             lightDiffuseCoeff=0.65,
             lightSpecularCoeff=0.05,
