@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -162,6 +162,21 @@ def test_bad_calls_end_with_one_line_and_code_2(arguments: list[str], word: str,
     assert not list(tmp_path.iterdir())
 
 
+class _Payload:
+    """Unpickled, it makes a file: harmless, and seen when it fires."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_the_payload_would_fire(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(_Payload(tmp_path / "fired")))
+    assert (tmp_path / "fired").exists()
+
+
 def _damage(folder: Path, how: str) -> None:
     weights, policy = folder / "policy.safetensors", folder / "policy.json"
     match how:
@@ -170,7 +185,7 @@ def _damage(folder: Path, how: str) -> None:
         case "cut weights":
             weights.write_bytes(weights.read_bytes()[:1000])
         case "pickle":
-            weights.write_bytes(b"\x80\x04cos\nsystem\n(S'touch /tmp/fired'\ntR.")
+            weights.write_bytes(pickle.dumps(_Payload(folder.parent / "fired")))
         case "wrong shape":
             tensors = load_file(weights)
             tensors["sgn.log_std"] = th.zeros(9)
@@ -206,7 +221,7 @@ def test_damaged_run_folders_are_refused(run: Path, how: str, tmp_path: Path) ->
         done = call("evaluate", str(folder), "--tests", "1")
         assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1
     if how == "pickle":
-        assert not Path("/tmp/fired").exists()
+        assert not (tmp_path / "fired").exists()
 
 
 def test_a_finished_run_is_not_overwritten(run: Path) -> None:
@@ -272,15 +287,18 @@ def test_a_failed_notebook_is_kept_and_nothing_else_is_lost(source: str, tmp_pat
     assert not (results / "report").exists()
 
 
-def test_notebooks_run_with_this_interpreter_and_make_a_report(tmp_path: Path) -> None:
+def test_notebooks_run_with_this_interpreter_and_make_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other kernels of the same name, registered for the user or by JUPYTER_PATH, are passed over."""
+    for variable in ("JUPYTER_PATH", "JUPYTER_DATA_DIR"):
+        decoy = tmp_path / variable / "kernels" / "python3"
+        decoy.mkdir(parents=True)
+        spec = {"argv": ["/bin/false", "{connection_file}"], "display_name": "decoy", "language": "python"}
+        (decoy / "kernel.json").write_text(json.dumps(spec))
+        monkeypatch.setenv(variable, str(tmp_path / variable))
     _notebook(tmp_path / "notebooks", "import sys\nprint(sys.executable, steps)")
-    os.environ["JUPYTER_PATH"] = str(tmp_path / "elsewhere")
-    try:
-        report = run_notebooks(
-            "smoke", assignments=["steps=41"], results=tmp_path / "results", sources=tmp_path / "notebooks"
-        )
-    finally:
-        del os.environ["JUPYTER_PATH"]
+    report = run_notebooks(
+        "smoke", assignments=["steps=41"], results=tmp_path / "results", sources=tmp_path / "notebooks"
+    )
     text = report.read_text()
     assert sys.executable in text and " 41" in text
     assert "http://" not in text.replace("http://www.w3.org", "") and "<script" not in text
