@@ -40,6 +40,10 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "both_arms_under": sum(bool(e["both_arms_under"]) for e in episodes) / tests if tests else 0.0,
         "by_task": count_by(episodes, "task"),
         "by_posture": count_by(episodes, "posture"),
+        "by_posture_and_task": count_by(
+            ({**e, "pair": f"{e['posture']} {e['task']}"} for e in episodes),
+            "pair",
+        ),
         "failures": dict(Counter(str(e["failure"]) for e in episodes if e["failure"] is not None).most_common()),
     }
 

@@ -42,6 +42,7 @@ def test_summary_by_hand() -> None:
     found = summarise(episodes)
     assert (found["tests"], found["successes"], found["success_rate"], found["both_arms_under"]) == (4, 2, 0.5, 0.75)
     assert found["by_posture"] == {"a": {"tests": 1, "successes": 1}, "b": {"tests": 3, "successes": 1}}
+    assert found["by_posture_and_task"]["b turn_over"] == {"tests": 2, "successes": 1}
     assert found["failures"] == {"timeout": 2}
     assert count_by(episodes, "task")["lift"] == {"tests": 2, "successes": 1}
 

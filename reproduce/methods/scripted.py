@@ -49,7 +49,13 @@ GET_UNDER = (
     WayPoint((0.00, 0.0, 0.00), -3, 40, 20),
 )
 THEN = {
-    "lift": (
+    # Face down the chest unit makes a body that rolls: further under, then forearms up as a cradle. By random search.
+    "lift prone": (
+        WayPoint((0.23, 0.0, 0.00), 12, 55, 14),
+        WayPoint((-0.02, 0.0, 0.40), 28, 37, 14),
+        WayPoint((-0.06, 0.0, 0.46), 59, 14, 60),
+    ),
+    "lift supine": (
         WayPoint((-0.02, 0.0, 0.20), 6, 30, 14),
         WayPoint((-0.06, 0.0, 0.36), 10, 14, 14),
         WayPoint((-0.08, 0.0, 0.55), 12, 0, 60),
@@ -117,9 +123,9 @@ class ScriptedPolicy:
 
 def _kind(row: NDArray[np.float32]) -> str:
     """Which way-points suit the task and the attitude that the robot sees."""
-    if row[SLICES["I"]][0] > 0.5:
-        return "lift"
     front_up = row[SLICES["P_P"]][5]
+    if row[SLICES["I"]][0] > 0.5:
+        return "lift supine" if front_up > 0 else "lift prone"
     return "turn_over side" if abs(front_up) < SIDE_FRONT else "turn_over prone"
 
 
