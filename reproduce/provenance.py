@@ -49,7 +49,7 @@ def command_line() -> str:
 
 
 def commit() -> str:
-    """Commit of the checkout, with ``+changes`` where tracked files differ; ``unknown`` outside a checkout."""
+    """Commit of the checkout, with ``+changes`` where tracked files other than results differ; ``unknown`` outside a checkout."""
     root = Path(__file__).resolve().parent.parent
 
     def git(*arguments: str) -> str:
@@ -57,7 +57,7 @@ def commit() -> str:
         return done.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/README.md")
         return git("rev-parse", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
