@@ -49,7 +49,7 @@ def command_line() -> str:
 
 
 def commit() -> str:
-    """Commit of the checkout, with ``+changes`` where tracked files other than results differ; ``unknown`` outside a checkout."""
+    """Commit of the checkout; ``+changes`` where tracked files other than results differ, ``unknown`` outside one."""
     root = Path(__file__).resolve().parent.parent
 
     def git(*arguments: str) -> str:
