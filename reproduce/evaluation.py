@@ -19,6 +19,7 @@ import torch as th
 from tqdm.auto import tqdm
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.env import OUTCOME
 from reproduce.errors import UserError
 from reproduce.policy import Policy
 from reproduce.provenance import provenance
@@ -44,7 +45,7 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         action = policy.act(observation[None], start)[0]
         observation, reward, terminated, truncated, last = env.step_flat(action)
         start, total, done = np.array([False]), total + reward, terminated or truncated
-    kept = {key: last[key] for key in ("is_success", "both_arms_under", "failure", "task", "posture")}
+    kept = {key: last[key] for key in OUTCOME}
     return {
         "seed": info["scene"].seed,
         **kept,

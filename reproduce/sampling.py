@@ -21,7 +21,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from lunar_rescue.env import LunarRescueEnv
+from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.robot import JOINTS
 from reproduce.splits import train_seed
@@ -115,8 +115,7 @@ def _options(seed: int, options: EnvOptions) -> dict[str, Any]:
 
 
 def _final_info(info: dict[str, Any], vector: NDArray[np.float32], truncated: bool) -> dict[str, Any]:
-    keep = ("is_success", "failure", "both_arms_under", "task", "posture")
-    return {**{k: info[k] for k in keep}, "terminal_observation": vector, "TimeLimit.truncated": truncated}
+    return {**{k: info[k] for k in OUTCOME}, "terminal_observation": vector, "TimeLimit.truncated": truncated}
 
 
 def _shapes(count: int) -> list[tuple[int, ...]]:
@@ -128,6 +127,7 @@ class WorkerVecEnv(VecEnv):
 
     Attributes:
         terms: Reward terms of the last step, (n, len(TERMS)).
+        epoch: Counts the times that a training began its episodes anew; set it before ``reset``.
     """
 
     def __init__(self, count: int, seed: int, options: EnvOptions | None = None, workers: int | None = None) -> None:
@@ -147,6 +147,7 @@ class WorkerVecEnv(VecEnv):
         self._pipes: list[Any] = []
         self._processes: list[Any] = []
         self.render_mode = None
+        self.epoch = 0
         super().__init__(
             count,
             spaces.Box(-BOUND, BOUND, (SIZE,), np.float32),
@@ -156,7 +157,6 @@ class WorkerVecEnv(VecEnv):
             self._start(range(int(part[0]), int(part[-1]) + 1), count, options or EnvOptions({}), seed)
         for index in range(len(self._pipes)):
             self._receive(index)
-        self._epoch = 0
 
     def _start(self, indices: range, count: int, options: EnvOptions, seed: int) -> None:
         ours, theirs = _SPAWN.Pipe()
@@ -185,17 +185,12 @@ class WorkerVecEnv(VecEnv):
                 code = self._processes[index].exitcode
                 raise WorkerError(f"worker {index} of {len(self._pipes)} died (exit code {code})") from None
 
-    def restart(self, epoch: int) -> NDArray[np.float32]:
-        """Begin new episodes everywhere, scenes following from run seed and ``epoch`` (checkpoints use it)."""
-        self._epoch = epoch
-        self._send(_RESET + str(epoch).encode())
+    def reset(self) -> NDArray[np.float32]:
+        """Begin new episodes everywhere; scenes follow from the run's seed and ``epoch``."""
+        self._send(_RESET + str(self.epoch).encode())
         for index in range(len(self._pipes)):
             self._receive(index)
         return self._observations.copy()
-
-    def reset(self) -> NDArray[np.float32]:
-        """Begin new episodes everywhere."""
-        return self.restart(self._epoch)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Send actions (n, 11)."""

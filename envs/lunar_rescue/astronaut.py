@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lunar_rescue.scene import Scene, rest_pose
 from lunar_rescue.simulation import RigidBody, Simulation
@@ -94,8 +93,3 @@ def _matrix(q: tuple[float, ...]) -> Array:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def rotation_of(state: AstronautState) -> Rotation:
-    """The body frame as a SciPy rotation."""
-    return Rotation.from_matrix(state.rotation)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -18,7 +17,7 @@ from lunar_rescue.episode import Episode
 from lunar_rescue.observation import Observer, as_dict, observation_space
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot
-from lunar_rescue.scene import TASKS, Scene, sample_scene
+from lunar_rescue.scene import Scene, sample_scene
 from lunar_rescue.simulation import Simulation
 from lunar_rescue.tasks import (
     BEARING_FORCE,
@@ -32,6 +31,8 @@ from lunar_rescue.tasks import (
 
 Array = NDArray[np.float64]
 ENVIRONMENT_VERSION = "0.1"
+#: What the info of an episode's last step tells about how it ended.
+OUTCOME = ("is_success", "both_arms_under", "failure", "task", "posture")
 SEED_BITS = 2**31 - 1
 RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
 PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
@@ -199,7 +200,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         e.recent.append(distance)
         if e.process == 1 and self._both_under(e, distance):
             terms["both_arms_under"] = self.weights.both_arms_under
-            e.process, e.under_at = 2, e.steps
+            e.process = 2
             e.recent.clear()
             e.recent.append(np.full(2, e.task.pose_error(e.body)))
         success = self._succeeds(e)
@@ -285,11 +286,3 @@ def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
     if array.shape != (JOINTS,) or not np.all(np.isfinite(array)):
         raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
     return np.clip(array, -1.0, 1.0)
-
-
-def without_rocks(scene: Scene) -> Scene:
-    """The same scene without obstacles."""
-    return replace(scene, rocks=())
-
-
-__all__ = ["ENVIRONMENT_VERSION", "TASKS", "LunarRescueEnv", "without_rocks"]

@@ -37,7 +37,6 @@ class Episode:
     held: int = 0
     steps: int = 0
     rock_contact: bool = False
-    under_at: int | None = None
 
     def targets(self) -> Array:
         """P_G of arm A and arm B (2, 3) [m]."""

@@ -133,7 +133,7 @@ class Robot:
         """Read the robot's sensors; right after a reset (``fresh``) Bullet still reports the last episode's torques."""
         angles, speeds, torques = self._simulation.joint_states(self.handle, self._joints)
         torques = np.zeros_like(torques) if fresh else torques
-        points, _ = self._simulation.link_frames(self.handle, self._points)
+        points = self._simulation.link_positions(self.handle, self._points)
         along = points[ENDS] - points[[4, 10]]
         along /= np.sqrt((along * along).sum(axis=1, keepdims=True))
         return RobotState(angles, speeds, torques, points, along)

@@ -210,10 +210,10 @@ class Simulation:
         rows = self._client.getJointStates(body, joints)
         return np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[3] for r in rows])
 
-    def link_frames(self, body: int, links: list[int]) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] and quaternions (n, 4) of link frames (joint origins)."""
+    def link_positions(self, body: int, links: list[int]) -> Array:
+        """Positions of link frames (joint origins), (n, 3) [m]."""
         rows = self._client.getLinkStates(body, links, computeForwardKinematics=1)
-        return np.array([r[4] for r in rows]), np.array([r[5] for r in rows])
+        return np.array([r[4] for r in rows])
 
     def pose(self, body: RigidBody) -> tuple[Array, Rotation]:
         """Centre of gravity (3,) [m] and rotation of the body frame."""

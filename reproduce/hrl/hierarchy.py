@@ -19,6 +19,7 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from lunar_rescue.env import OUTCOME
 from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.actions import to_environment
@@ -193,8 +194,7 @@ class SubGoalVecEnv(VecEnvWrapper):
                     ended[index : index + 1], self.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
                 totals = dict(zip(("exr", "inr", "steps"), self._returns[index], strict=True))
-                kept = ("is_success", "failure", "both_arms_under", "task", "posture")
-                self.episodes.append({**{k: infos[index][k] for k in kept}, **totals})
+                self.episodes.append({**{k: infos[index][k] for k in OUTCOME}, **totals})
                 self._returns[index] = 0.0
 
     def _value(self, observation: Floats) -> float:

@@ -14,13 +14,7 @@ from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.learners.sequence_ppo import SequencePPO
-from reproduce.methods.stepping import (
-    OnlySpaces,
-    episode_summary,
-    follow_schedule,
-    make_environments,
-    start_collecting,
-)
+from reproduce.methods.stepping import OnlySpaces, RecurrentTraining, make_environments
 
 
 def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool) -> SequencePPO:
@@ -53,40 +47,23 @@ def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool)
     return learner
 
 
-class HierarchicalTraining:
+class HierarchicalTraining(RecurrentTraining):
     """Trains SGN and LLN; one ``update`` is one rollout and one training of each."""
 
     def __init__(self, config: TrainingConfig, seed: int) -> None:
         """Start environments and learners."""
-        self.config = config
-        self.venv = make_environments(config, seed)
-        high_env = OnlySpaces(self.venv.observation_space, SUBGOAL_SPACE, config.n_envs)
+        venv = make_environments(config, seed)
+        high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
         h = config.hierarchy
-        self.env = SubGoalVecEnv(self.venv, self.sgn.policy, h.interval, h.beta, h.form, config.high.gamma)  # type: ignore[arg-type]
-        self.lln = make_learner(self.env, config.low, seed + 1, bounded_mean=False)
-        self.callback = start_collecting(self.lln, config.steps)
-
-    @property
-    def learners(self) -> dict[str, SequencePPO]:
-        """Both levels by name."""
-        return {"sgn": self.sgn, "lln": self.lln}
-
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps of one update."""
-        return self.config.low.n_steps * self.config.n_envs
-
-    def restart(self, update: int) -> None:
-        """Begin new episodes with empty memories; what a resumed run does too."""
-        self.venv.restart(update)
-        start_collecting(self.lln, self.config.steps, self.callback)
+        env = SubGoalVecEnv(venv, self.sgn.policy, h.interval, h.beta, h.form, config.high.gamma)  # type: ignore[arg-type]
+        self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)
+        super().__init__(config, venv, env, self.lln, {"sgn": self.sgn, "lln": self.lln})
 
     def update(self, done: int) -> dict[str, Any]:
         """Collect and learn; ``done`` steps were taken before."""
-        follow_schedule(self.learners.values(), done / self.config.steps)
         self.env.cuts.clear()
-        self.lln.collect_rollouts(self.env, self.callback, self.lln.rollout_buffer, self.config.low.n_steps)
+        self.collect(done)
         self.lln.return_cuts = np.array(self.env.cuts)
         self.lln.train()
         high = self.config.high
@@ -94,13 +71,4 @@ class HierarchicalTraining:
         if rollout is not None and done >= self.config.hierarchy.warmup * self.config.steps:
             self.sgn.external_rollout = rollout
             self.sgn.train()
-        row = episode_summary(self.env.episodes)
-        self.env.episodes = []
-        for name, learner in self.learners.items():
-            for key in ("approx_kl", "explained_variance", "std", "value_loss"):
-                row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
-        return row
-
-    def close(self) -> None:
-        """Stop the environments."""
-        self.venv.close()
+        return self.row()

@@ -12,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from reproduce.config import TrainingConfig
+from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.sampling import EnvOptions, WorkerVecEnv
 
 
@@ -52,6 +53,54 @@ def episode_summary(episodes: list[dict[str, Any]]) -> dict[str, Any]:
         "return_low": mean("inr"),
         "episode_steps": mean("steps"),
     }
+
+
+class RecurrentTraining:
+    """What trainings with recurrent PPO share; a subclass makes the learners and says what an update does.
+
+    Attributes:
+        config: The configuration.
+        venv: The environments.
+        env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
+        learners: All learners by level.
+    """
+
+    def __init__(
+        self, config: TrainingConfig, venv: WorkerVecEnv, env: Any, collector: Any, learners: dict[str, SequencePPO]
+    ) -> None:
+        """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
+        self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self._collector = collector
+        self._callback = start_collecting(collector, config.steps)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update."""
+        return self.config.low.n_steps * self.config.n_envs
+
+    def restart(self, update: int) -> None:
+        """Begin new episodes with empty memories; what a resumed run does too."""
+        self.venv.epoch = update
+        start_collecting(self._collector, self.config.steps, self._callback)
+
+    def collect(self, done: int) -> None:
+        """Take one rollout; ``done`` steps were taken before."""
+        follow_schedule(self.learners.values(), done / self.config.steps)
+        steps = self.config.low.n_steps
+        self._collector.collect_rollouts(self.env, self._callback, self._collector.rollout_buffer, steps)
+
+    def row(self) -> dict[str, Any]:
+        """The row of ``progress.csv`` for what happened since the last one."""
+        row = episode_summary(self.env.episodes)
+        self.env.episodes = []
+        for name, learner in self.learners.items():
+            for key in ("approx_kl", "explained_variance", "std", "value_loss"):
+                row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
+        return row
+
+    def close(self) -> None:
+        """Stop the environments."""
+        self.venv.close()
 
 
 class OnlySpaces(VecEnv):
