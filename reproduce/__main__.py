@@ -133,16 +133,38 @@ def table1() -> None:
 
 
 @app.command()
-def bench(json: JsonFile = None) -> None:
+def bench(
+    part: Annotated[str, typer.Option(help="env, training or all")] = "all",
+    json: JsonFile = None,
+) -> None:
     """Measure speed, each figure against a peer in the same run."""
     from reproduce.bench import measure
     from reproduce.files import write_json
 
-    result = measure()
+    result = measure(part)
     if json:
         write_json(json, result)
     for name, value in result.items():
         typer.echo(f"{name}: {value}")
+
+
+@app.command()
+def soak(
+    steps: Annotated[int, typer.Option(help="random steps, shared among all cores")] = 1_000_000,
+    json: Annotated[
+        Path | None,
+        typer.Option("--json", help="write the result to this file; a run of a million steps writes results/soak.json"),
+    ] = None,
+) -> None:
+    """Step all scenes with random actions: nothing may raise, every number is finite, memory does not grow."""
+    from reproduce.soak import run_soak
+
+    result = run_soak(steps, json)
+    terrains, tasks = (" and ".join(result[key]) for key in ("terrains", "tasks"))
+    typer.echo(f"{result['steps']} steps, {result['episodes']} episodes, {result['steps_per_s']} steps/s")
+    typer.echo(f"{result['postures']} postures, {tasks}, {terrains} ground; ends: {result['ends']}")
+    growth = f"{100 * result['largest_memory_growth']:.2f} %"
+    typer.echo(f"memory over the last half: {growth}{'' if result['memory_judged'] else ', too short to be judged'}")
 
 
 @app.command()
