@@ -1,0 +1,211 @@
+"""Process 1: joint paths that bring both plates under the body, by inverse kinematics and RRT-Connect.
+
+The last part of every way is a straight slide in front of and then under the body, as nothing else fits there; it is
+solved backwards from several goals for each arm, and RRT-Connect finds the way to where the slide begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue import LunarRescueEnv
+from lunar_rescue.robot import ARMS, JOINTS, WAIST, Arm, Robot
+from reproduce.planning.batch_ik import plate_tips, solve_arms
+from reproduce.planning.collision import CollisionChecker
+from reproduce.planning.rrt import connect, length, line_is_free, path_is_free, shortcut
+
+Array = NDArray[np.float64]
+
+REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
+BEFORE = 0.04  # m, the slide begins this far before the entry
+TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
+TUCKED = np.radians([-60.0, 8.0, 0.0, 140.0, 0.0])  # rad, where an arm stays while the other one is tried
+SLIDE_STEPS = 5  # places along the slide, the goal included
+ITERATIONS = 1500  # draws of RRT-Connect for one way
+CHECKS = 60_000  # collision checks for one scene, about 3 s
+LONGEST = 6.5  # rad, a longer way leaves no time for the second process
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How the waist leans while the plates slide in.
+
+    Attributes:
+        under: Waist angle with the plates under the body [deg].
+        lean: How much further it leans per metre slid in [deg/m].
+    """
+
+    under: float
+    lean: float
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where one plate goes, beside its target.
+
+    Attributes:
+        ahead: Further under the body [m].
+        aside: Outwards, away from the other arm [m].
+        up: Higher [m].
+        slope: Forearm above the horizontal [deg].
+        turn: Direction of the slide, outwards from straight ahead [deg].
+    """
+
+    ahead: float = 0.0
+    aside: float = 0.0
+    up: float = 0.0
+    slope: float = -3.0
+    turn: float = 0.0
+
+
+STANCES = (Stance(40, 64), Stance(28, 64), Stance(50, 70), Stance(16, 50), Stance(34, 30), Stance(4, 40))
+#: From the likeliest on; none misses the target by more than its radius.
+GOALS = (
+    Goal(),
+    Goal(slope=-10, up=0.01),
+    Goal(slope=4),
+    Goal(ahead=-0.05),
+    Goal(aside=0.04),
+    Goal(aside=-0.04),
+    Goal(up=0.02, slope=-6),
+    Goal(turn=12),
+    Goal(turn=-12),
+    Goal(ahead=-0.05, slope=8, up=0.01),
+    Goal(aside=0.05, turn=15),
+    Goal(aside=-0.05, turn=-15),
+    Goal(ahead=-0.07, up=-0.01),
+    Goal(aside=0.06, ahead=-0.04),
+    Goal(aside=-0.06, ahead=-0.04),
+    Goal(aside=0.04, turn=25),
+    Goal(aside=-0.04, turn=-25),
+)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A joint path that brings both plates under the body.
+
+    Attributes:
+        path: Angles from the start to the goal (m, 11) [rad].
+        found: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
+    """
+
+    path: Array
+    found: str
+
+
+class ApproachPlanner:
+    """Yields ways for one scene, the likeliest first."""
+
+    def __init__(self, checker: CollisionChecker, env: LunarRescueEnv, rng: np.random.Generator) -> None:
+        """Plan for the episode that has just begun in ``env``, whose scene the checker has too."""
+        self._checker, self._rng = checker, rng
+        self._robot: Robot = env.robot
+        self._start = env.episode.robot.angles.copy()
+        window = env.robot.initial - env.robot.window, env.robot.initial + env.robot.window
+        self._lower = np.maximum(env.robot.lower, window[0]) + 1e-4
+        self._upper = np.minimum(env.robot.upper, window[1]) - 1e-4
+        to_base = env.episode.observer.to_base
+        self.targets = to_base(env.episode.targets())
+        ways_in = to_base(env.episode.entries()) - self.targets
+        self._lengths = np.linalg.norm(ways_in, axis=1)
+
+    def ways(self) -> Iterator[Way]:
+        """Ways that are free of collision."""
+        end_of_checks = self._checker.checks + CHECKS
+        for stance in STANCES:
+            slides = [self._slide(arm, target, stance) for arm, target in zip(ARMS, self.targets, strict=True)]
+            for first, second in _pairs(*slides):
+                if self._checker.checks > end_of_checks:
+                    return
+                joined = self._join(first, second, stance)
+                way = None if joined is None else self._reach(joined)
+                if way is not None and length(way.path) <= LONGEST:
+                    yield way
+                    break
+
+    # -- slides ------------------------------------------------------------------------------------------------------
+    def _waists(self, stance: Stance) -> Array:
+        """Waist angle from the hover on, at each place of the slide (SLIDE_STEPS + 1,) [rad]."""
+        back = self._backs(float(self._lengths.max()))
+        degrees = np.concatenate([[stance.under - stance.lean * back[0] - 8], stance.under - stance.lean * back])
+        return np.clip(np.radians(degrees), self._lower[WAIST], self._upper[WAIST])
+
+    def _backs(self, longest: float) -> Array:
+        """How far before its goal a plate is at each place of the slide (SLIDE_STEPS,) [m]."""
+        return np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
+
+    def _slide(self, arm: Arm, target: Array, stance: Stance) -> list[Array]:
+        """Ways of one arm from above the entry to the goal, (SLIDE_STEPS + 1, 5) each, free ones only."""
+        waists = self._waists(stance)
+        ways, misses = self._solve(arm, target, waists)
+        found = []
+        for angles, miss in zip(ways, misses, strict=True):
+            if miss < REACHED and self._slide_is_free(arm, angles, waists):
+                found.append(angles)
+                if len(found) == 2:
+                    break
+        return found
+
+    def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
+        """Ways to all goals (n, SLIDE_STEPS + 1, 5) [rad] and how far they miss them (n,) [m]."""
+        turns = np.radians([goal.turn for goal in GOALS])
+        ahead = np.column_stack([np.cos(turns), arm.side * np.sin(turns), np.zeros(len(turns))])
+        ends = target + np.array([[goal.ahead, arm.side * goal.aside, goal.up] for goal in GOALS])
+        slopes = np.array([goal.slope for goal in GOALS])
+        backs = self._backs(float(self._lengths.max()))
+        places = [ends - backs[0] * ahead + [0.0, 0.0, 0.40], *(ends - back * ahead for back in backs)]
+        tilts = [np.full(len(GOALS), 20.0), *(slopes - 6.0 * back / backs[0] for back in backs)]
+        angles = np.tile(self._start[arm.joints], (len(GOALS), 1))
+        rows = []
+        for place, tilt, waist in zip(places, tilts, waists, strict=True):
+            angles, misses = self._solve_low(arm, place, np.radians(tilt), np.full(len(GOALS), waist), angles)
+            rows.append(angles)
+        return np.stack(rows, axis=1), misses
+
+    def _solve_low(self, arm: Arm, places: Array, slopes: Array, waists: Array, starts: Array) -> tuple[Array, Array]:
+        """Solve, then again with the ends so much higher that no tip is in the ground."""
+        bounds = self._lower[arm.joints], self._upper[arm.joints]
+        angles, misses = solve_arms(places, slopes, waists, arm.side, starts, *bounds)
+        tips = plate_tips(waists, angles, arm.side)
+        missing = np.maximum(0.0, TIP_HEIGHT - tips[:, 2])
+        if missing.any():
+            higher = places + missing[:, None] * [0.0, 0.0, 1.0]
+            angles, misses = solve_arms(higher, slopes, waists, arm.side, angles, *bounds)
+        return angles, misses
+
+    def _slide_is_free(self, arm: Arm, angles: Array, waists: Array) -> bool:
+        """Whether one arm can slide in while the other stays where it was."""
+        path = np.tile(TUCKED, (len(angles), 3))[:, :JOINTS]
+        path[:, arm.joints] = angles
+        path[:, WAIST] = waists
+        return path_is_free(path[1:], self._checker.free) and self._checker.free(path[1])
+
+    def _join(self, first: Array, second: Array, stance: Stance) -> Array | None:
+        path = np.empty((len(first), JOINTS))
+        path[:, ARMS[0].joints], path[:, ARMS[1].joints] = first, second
+        path[:, WAIST] = self._waists(stance)
+        return path if path_is_free(path[1:], self._checker.free) else None
+
+    # -- the way to where the slide begins ---------------------------------------------------------------------------
+    def _reach(self, slide: Array) -> Way | None:
+        """Complete a slide by a way from the start to its beginning."""
+        free = self._checker.free
+        hover, entry = slide[0], slide[1]
+        if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, entry, free):
+            return Way(np.concatenate([self._start[None], slide]), "straight")
+        way = connect(self._start, entry, free, self._lower, self._upper, self._rng, iterations=ITERATIONS)
+        if way is None:
+            return None
+        way = shortcut(way, free, self._rng)
+        return Way(np.concatenate([way, slide[2:]]), "rrt")
+
+
+def _pairs(first: list[Array], second: list[Array]) -> Iterator[tuple[Array, Array]]:
+    for a in first:
+        for b in second:
+            yield a, b

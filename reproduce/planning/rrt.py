@@ -1,0 +1,150 @@
+"""RRT-Connect and shortcutting over any collision check, limited by iterations so that results repeat exactly.
+
+Distances are the largest change of any joint: all joints have the same speed limit, so that is the time a motion takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Free = Callable[[Array], bool]
+
+RESOLUTION = 0.04  # rad, between two checks on a straight line; an arm's end moves about 5 cm at most in that
+STEP = 0.30  # rad, longest new branch
+
+
+def line_is_free(start: Array, end: Array, free: Free, resolution: float = RESOLUTION) -> bool:
+    """Whether the straight line between two configurations (n,) is free, its beginning left out."""
+    count = max(1, int(np.ceil(np.abs(end - start).max() / resolution)))
+    return all(free(start + (end - start) * (i / count)) for i in range(count, 0, -1))
+
+
+def path_is_free(path: Array, free: Free, resolution: float = RESOLUTION) -> bool:
+    """Whether a path (m, n) is free, its first configuration left out."""
+    return all(line_is_free(a, b, free, resolution) for a, b in zip(path[:-1], path[1:], strict=True))
+
+
+def length(path: Array) -> float:
+    """Length of a path (m, n) in the largest-joint distance [rad]."""
+    return float(np.abs(np.diff(path, axis=0)).max(axis=1).sum())
+
+
+def resample(path: Array, spacing: float) -> Array:
+    """Points (k, n) along a path, no further apart than ``spacing`` [rad], corners kept."""
+    points = [path[:1]]
+    for a, b in zip(path[:-1], path[1:], strict=True):
+        count = max(1, int(np.ceil(np.abs(b - a).max() / spacing)))
+        points.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(points)
+
+
+class _Tree:
+    """Configurations and their parents, from one end."""
+
+    def __init__(self, root: Array) -> None:
+        self._points = np.empty((64, len(root)))
+        self._points[0] = root
+        self._parents = [-1]
+
+    def nearest(self, point: Array) -> int:
+        return int(np.abs(self._points[: len(self._parents)] - point).max(axis=1).argmin())
+
+    def point(self, index: int) -> Array:
+        return self._points[index].copy()
+
+    def add(self, point: Array, parent: int) -> int:
+        index = len(self._parents)
+        if index == len(self._points):
+            self._points = np.concatenate([self._points, np.empty_like(self._points)])
+        self._points[index] = point
+        self._parents.append(parent)
+        return index
+
+    def branch(self, index: int) -> list[Array]:
+        """From the root to a configuration."""
+        points = []
+        while index >= 0:
+            points.append(self.point(index))
+            index = self._parents[index]
+        return points[::-1]
+
+
+def _extend(tree: _Tree, towards: Array, free: Free, step: float, resolution: float) -> tuple[int, bool]:
+    """Grow by one branch; return the newest configuration (-1 when blocked) and whether it is ``towards``."""
+    near = tree.nearest(towards)
+    start = tree.point(near)
+    way = towards - start
+    distance = np.abs(way).max()
+    end = towards if distance <= step else start + way * (step / distance)
+    if not line_is_free(start, end, free, resolution):
+        return -1, False
+    return tree.add(end, near), bool(distance <= step)
+
+
+def connect(
+    start: Array,
+    goal: Array,
+    free: Free,
+    lower: Array,
+    upper: Array,
+    rng: np.random.Generator,
+    *,
+    iterations: int = 500,
+    step: float = STEP,
+    resolution: float = RESOLUTION,
+) -> Array | None:
+    """Find a way by RRT-Connect (Kuffner and LaValle 2000): two trees that grow towards each other.
+
+    Args:
+        start: First configuration (n,).
+        goal: Last configuration (n,).
+        free: Whether a configuration is free of collision.
+        lower: Smallest configuration (n,).
+        upper: Largest configuration (n,).
+        rng: Where all draws come from.
+        iterations: Most draws.
+        step: Longest branch.
+        resolution: Distance between two checks.
+
+    Returns:
+        A path (m, n) from start to goal, or None when an end is not free or the draws did not suffice.
+    """
+    if not (free(start) and free(goal)):
+        return None
+    if line_is_free(start, goal, free, resolution):
+        return np.array([start, goal])
+    first, second = _Tree(start), _Tree(goal)
+    forward = True
+    for _ in range(iterations):
+        new, _ = _extend(first, rng.uniform(lower, upper), free, step, resolution)
+        if new >= 0:
+            target, met, grown = first.point(new), False, 0
+            while grown >= 0 and not met:
+                grown, met = _extend(second, target, free, step, resolution)
+            if met:
+                ways = first.branch(new), second.branch(grown)
+                here, there = ways if forward else ways[::-1]
+                return np.array(here + there[-2::-1])
+        first, second, forward = second, first, not forward
+    return None
+
+
+def shortcut(
+    path: Array, free: Free, rng: np.random.Generator, *, iterations: int = 80, resolution: float = RESOLUTION
+) -> Array:
+    """Shorten a path (m, n) by straight lines between random pairs of its points where they are free."""
+    points = resample(path, 0.15)
+    for _ in range(iterations):
+        if len(points) < 3:
+            break
+        i, j = sorted(rng.choice(len(points), 2, replace=False))
+        if j - i < 2 or length(points[i : j + 1]) < np.abs(points[j] - points[i]).max() + 1e-6:
+            continue
+        if line_is_free(points[i], points[j], free, resolution):
+            middle = resample(points[[i, j]], 0.15)
+            points = np.concatenate([points[:i], middle, points[j + 1 :]])
+    return points
