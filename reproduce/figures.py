@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
-from lunar_rescue.rendering import GALLERY_TURN, picture
+from lunar_rescue.rendering import GALLERY_TURN, TURN, Studio, scene_camera
 from lunar_rescue.scene import body_surface
 
 Array = NDArray[np.float64]
@@ -23,42 +24,55 @@ sns.set_theme(context="notebook", style="whitegrid")
 
 
 def posture_gallery() -> Figure:
-    """P8: a picture of each of the 20 postures, from beyond the body."""
-    env = LunarRescueEnv(render_mode="rgb_array")
+    """P8: a picture of each of the 20 postures, from beyond the body, without rocks."""
+    scenes = [(name, dataclasses.replace(sample_scene(0, posture=name), rocks=())) for name in postures()]
+    return picture_grid(first_pictures(scenes, GALLERY_TURN, astronaut=True), columns=5)
+
+
+def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
+    """F4: as many environments as train together, in one picture."""
+    scenes = [(f"agent {i + 1}", sample_scene(first_seed + i)) for i in range(count)]
+    return picture_grid(first_pictures(scenes), columns=4)
+
+
+def first_pictures(
+    scenes: Sequence[tuple[str, Scene]], turn: float = TURN, astronaut: bool = False, size: tuple[int, int] = (320, 240)
+) -> list[tuple[str, NDArray[np.uint8]]]:
+    """A picture of the beginning of each scene, with the titles that came with them.
+
+    Args:
+        scenes: Titles and scenes.
+        turn: Camera beside the line from robot to astronaut [deg].
+        astronaut: Whether the camera looks at the astronaut, and not between them and the robot.
+        size: Width and height [px].
+    """
+    env, studio = LunarRescueEnv(), Studio()
+    pictures = []
     try:
-        pictures = []
-        for name in postures():
-            scene = sample_scene(0, posture=name)
+        for title, scene in scenes:
             env.reset(options={"scene": scene})
-            pictures.append((name, picture(env.simulation, scene, (320, 240), GALLERY_TURN)))
+            camera = scene_camera(scene, size, turn)
+            if astronaut:
+                place = (scene.astronaut_x, scene.astronaut_y, 0.30)
+                camera = dataclasses.replace(camera, target=place, distance=0.85 * camera.distance)
+            pictures.append((title, studio.picture(env.episode, camera)))
     finally:
         env.close()
-    return picture_grid(pictures, columns=5)
+        studio.close()
+    return pictures
 
 
 def picture_grid(pictures: Sequence[tuple[str, NDArray[np.uint8]]], columns: int) -> Figure:
     """Pictures with titles in a grid."""
     rows = -(-len(pictures) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(2.6 * columns, 2.2 * rows), layout="constrained", squeeze=False)
+    figure, axes = plt.subplots(rows, columns, figsize=(3.0 * columns, 2.5 * rows), layout="constrained", squeeze=False)
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0, hspace=0)  # type: ignore[union-attr, call-arg]
     for axis in axes.flat:
         axis.axis("off")
     for axis, (title, image) in zip(axes.flat, pictures, strict=False):
-        axis.imshow(image)
+        axis.imshow(image, interpolation="antialiased")
         axis.set_title(title.replace("_", " "), fontsize=9)
     return figure
-
-
-def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
-    """F4: as many environments as train together, in one picture."""
-    env = LunarRescueEnv(render_mode="rgb_array")
-    try:
-        pictures = []
-        for seed in range(first_seed, first_seed + count):
-            env.reset(options={"scene": sample_scene(seed)})
-            pictures.append((f"agent {seed - first_seed + 1}", picture(env.simulation, env.episode.scene, (320, 240))))
-    finally:
-        env.close()
-    return picture_grid(pictures, columns=4)
 
 
 def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:

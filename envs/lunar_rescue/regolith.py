@@ -1,0 +1,64 @@
+"""What regolith looks like from near: colour and relief of a square tile that repeats without seams, from a seed."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float32]
+
+CELLS = 512
+TILE = 2.4  # m, side of the tile
+GREY = (0.56, 0.54, 0.51)
+CRATERS = 60
+RELIEF = 0.35  # of the slopes; more would look like rocks that nothing collides with
+
+
+@lru_cache(maxsize=1)
+def tile() -> tuple[Array, Array]:
+    """Brightness (CELLS, CELLS), mean 1, and slopes along x and y (CELLS, CELLS, 2) of the tile."""
+    rng = np.random.default_rng(1969)
+    fx, fy = np.meshgrid(*[np.fft.fftfreq(CELLS, 1 / CELLS)] * 2)
+    frequency = np.hypot(fx, fy).clip(1.0)
+    noise = np.fft.fft2(rng.standard_normal((CELLS, CELLS)))
+    dust = _unit(np.fft.ifft2(noise * frequency**-0.8).real)
+    height = 0.006 * _unit(np.fft.ifft2(noise * frequency**-1.9).real) + _craters(rng)
+    step = TILE / CELLS
+    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * step) for axis in (1, 0)]
+    return (1.0 + 0.09 * dust).astype(np.float32), (RELIEF * np.stack(slopes, -1)).astype(np.float32)
+
+
+def _unit(field: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scaled to mean 0 and spread 1."""
+    return (field - field.mean()) / field.std()
+
+
+def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Heights [m] of small bowls with rims."""
+    line = np.arange(CELLS) * TILE / CELLS
+    height = np.zeros((CELLS, CELLS))
+    for x, y, u in rng.uniform(size=(CRATERS, 3)):
+        radius = 0.02 / (0.08 + 0.92 * u) ** 0.75  # many small ones
+        dx, dy = ((line - at * TILE + TILE / 2) % TILE - TILE / 2 for at in (x, y))
+        r = np.hypot(dx[None, :], dy[:, None]) / radius
+        height += 0.12 * radius * (np.exp(-(((r - 1.0) / 0.3) ** 2)) - np.exp(-((r / 0.75) ** 4)))
+    return height
+
+
+def surface(x: Array, y: Array, away: Array) -> tuple[Array, Array]:
+    """Brightness (n,) and slopes (n, 2) of the ground at places x, y (n,) [m], fading where the camera is far.
+
+    Args:
+        x: Place [m].
+        y: Place [m].
+        away: Distance from the camera [m]; beyond some metres a grain is smaller than a pixel.
+    """
+    brightness, slopes = tile()
+    cell = (np.floor(y / TILE * CELLS).astype(int) % CELLS, np.floor(x / TILE * CELLS).astype(int) % CELLS)
+    # A second, larger lookup hides that the tile repeats.
+    wide = (np.floor(x / TILE * CELLS / 7.3).astype(int) % CELLS, np.floor(y / TILE * CELLS / 7.3).astype(int) % CELLS)
+    keep = np.exp(-((away / 8.0) ** 2)).astype(np.float32)
+    colour = 1.0 + (brightness[cell] - 1.0) * keep + 0.8 * (brightness[wide] - 1.0)
+    return colour, slopes[cell] * keep[:, None] + 0.4 * slopes[wide]
