@@ -33,7 +33,7 @@ from reproduce.errors import UserError
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS
 from reproduce.sampling import WorkerVecEnv
-from reproduce.soak import FIRST_SEED, terrain_kind
+from reproduce.soak import FIRST_SEED
 from reproduce.training import train
 
 ROUNDS = 9  # besides the first, which fills caches
@@ -106,7 +106,7 @@ def measure(part: str = "all", rounds: int = ROUNDS, steps: int = STEPS) -> dict
 # -- environment -------------------------------------------------------------------------------------------------------
 def measure_environments(rounds: int, steps: int) -> dict[str, Any]:
     """One process on each kind of ground, the peer, and sixteen environments on all cores, in alternation."""
-    kinds = {terrain_kind(sample_scene(FIRST_SEED + i)) for i in range(LOOKED_AT)} & set(ENDINGS)
+    kinds = {sample_scene(FIRST_SEED + i).terrain.kind for i in range(LOOKED_AT)} & set(ENDINGS)
     rng = np.random.default_rng(0)
     done: list[Round] = []
     everywhere: list[float] = []
@@ -192,7 +192,7 @@ class _Ours:
         # The scene is drawn within the time of the reset, as in training; only then is its ground known.
         _, info = self.env.reset_flat(next(self._seeds))
         resetting = time.perf_counter() - begun
-        tally = tallies.get(terrain_kind(info["scene"]))
+        tally = tallies.get(info["scene"].terrain.kind)
         if tally is not None and tally.steps < steps:
             tally.resetting += resetting
             tally.resets += 1

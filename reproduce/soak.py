@@ -31,7 +31,8 @@ from tqdm.auto import tqdm
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.observation import BOUND, SIZE, as_dict
 from lunar_rescue.robot import JOINTS
-from lunar_rescue.scene import TERRAINS, task_distribution
+from lunar_rescue.scene import task_distribution
+from lunar_rescue.terrain import KINDS
 from reproduce.errors import RunFailedError, UserError
 from reproduce.files import write_json
 from reproduce.provenance import provenance
@@ -59,11 +60,6 @@ class Record:
     scenes: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     samples: list[tuple[int, int, int]] = field(default_factory=list)  # steps, episodes, bytes
     fault: str = ""
-
-
-def terrain_kind(scene: Scene) -> str:
-    """``"smooth"`` or ``"rough"``."""
-    return str(getattr(scene.terrain, "kind", scene.terrain))
 
 
 def resident_bytes() -> int:
@@ -114,7 +110,7 @@ def judge(records: Sequence[Record]) -> list[str]:
                 f"{_bytes_an_episode(record):.0f} bytes an episode; allowed {100 * LARGEST_GROWTH:g} %"
             )
     seen = {kind for record in records for kind in record.scenes}
-    wanted = {(posture, task, terrain) for posture, task in task_distribution() for terrain in TERRAINS}
+    wanted = {(posture, task, terrain) for posture, task in task_distribution() for terrain in KINDS}
     if sum(r.episodes for r in records) >= EPISODES_A_KIND * len(wanted) and wanted - seen:
         missing = ", ".join(" ".join(kind) for kind in sorted(wanted - seen)[:3])
         faults.append(f"{len(wanted - seen)} of {len(wanted)} kinds of scene were never met: {missing}")
@@ -180,14 +176,14 @@ def run_share(env: LunarRescueEnv, steps: int, index: int, processes: int, repor
         record.fault = f"{type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
     record.seconds = time.perf_counter() - begun
     if record.fault:
-        drawn = f"scene {scene.seed} ({scene.posture} {scene.task} {terrain_kind(scene)})" if scene else "no scene"
+        drawn = f"scene {scene.seed} ({scene.posture} {scene.task} {scene.terrain.kind})" if scene else "no scene"
         record.fault = f"step {record.steps}, {drawn}: {record.fault}"
     return record
 
 
 def _begin(env: LunarRescueEnv, scene: Scene, record: Record) -> None:
     vector, _ = env.reset_flat(options={"scene": scene})
-    record.scenes[scene.posture, scene.task, terrain_kind(scene)] += 1
+    record.scenes[scene.posture, scene.task, scene.terrain.kind] += 1
     record.fault = step_fault(env, vector, 0.0)
     if not record.fault and not env.observation_space.contains(as_dict(vector)):
         record.fault = "observation: outside observation_space"

@@ -1,12 +1,10 @@
-"""Which seeds belong to which split, so that no test scene is ever trained on."""
+"""Which scene a training episode gets: always one of the ``train`` split."""
 
 from __future__ import annotations
 
 import numpy as np
 
-TEST = range(0, 1_000_000)  # the paper's 1000 tests are the first thousand
-VALIDATION = range(1_000_000, 2_000_000)  # for tuning
-TRAIN = range(2_000_000, 2**31 - 1)
+from lunar_rescue.splits import TRAIN
 
 
 def train_seed(run_seed: int, env: int, epoch: int, episode: int) -> int:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from lunar_rescue.splits import SPLITS, TRAIN, split_of
 from reproduce import arithmetic
 from reproduce.claims import compute_claims
 from reproduce.errors import UserError
 from reproduce.readme import BLOCK, results_block
 from reproduce.report import with_mathml
 from reproduce.results import ROOT, reference_runs
-from reproduce.splits import TEST, TRAIN, VALIDATION, train_seed
+from reproduce.splits import train_seed
 from reproduce.statistics import count_by, summarise, wilson
 from reproduce.tables import readable_table1, table1
 
@@ -126,7 +128,9 @@ def test_dwelling_against_finishing_by_hand() -> None:
 
 
 def test_splits_do_not_meet() -> None:
-    assert TEST.stop <= VALIDATION.start and VALIDATION.stop <= TRAIN.start
+    ranges = sorted(SPLITS.values(), key=lambda seeds: seeds.start)
+    assert all(a.stop <= b.start for a, b in pairwise(ranges))
+    assert all(split_of(seeds.start) == split_of(seeds.stop - 1) == name for name, seeds in SPLITS.items())
     drawn = {train_seed(0, env, 0, episode) for env in range(16) for episode in range(50)}
     assert len(drawn) == 800 and all(seed in TRAIN for seed in drawn)
     assert train_seed(0, 1, 2, 3) == train_seed(0, 1, 2, 3) != train_seed(1, 1, 2, 3)

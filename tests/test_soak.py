@@ -20,6 +20,7 @@ import pytest
 from lunar_rescue import LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.scene import task_distribution
+from lunar_rescue.splits import TRAIN
 from reproduce.errors import RunFailedError, UserError
 from reproduce.soak import (
     FIRST_SEED,
@@ -35,7 +36,6 @@ from reproduce.soak import (
     soak,
     summary,
 )
-from reproduce.splits import TRAIN
 
 MEBIBYTE = 2**20
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -19,6 +19,7 @@ from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot
 from lunar_rescue.scene import Scene, sample_scene
 from lunar_rescue.simulation import Simulation
+from lunar_rescue.splits import TRAIN
 from lunar_rescue.tasks import (
     BEARING_FORCE,
     HOLD_STEPS,
@@ -29,11 +30,13 @@ from lunar_rescue.tasks import (
     Contacts,
 )
 
+if TYPE_CHECKING:
+    from lunar_rescue.rendering import Studio
+
 Array = NDArray[np.float64]
-ENVIRONMENT_VERSION = "0.1"
+ENVIRONMENT_VERSION = "1.0"  # a change to what an episode does is a new version, see docs/environment.md
 #: What the info of an episode's last step tells about how it ended.
 OUTCOME = ("is_success", "both_arms_under", "failure", "task", "posture")
-SEED_BITS = 2**31 - 1
 RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
 PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
 PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
@@ -80,6 +83,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self.simulation = Simulation()
         self.robot = Robot(self.simulation)
         self._episode: Episode | None = None
+        self._studio: Studio | None = None  # made with the first picture
         self._zero = np.zeros(JOINTS)
 
     # -- Gymnasium's interface -------------------------------------------------------------------------------------
@@ -102,13 +106,18 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         """Return a picture (height, width, 3), or None without a render mode."""
         if self.render_mode is None:
             return None
-        from lunar_rescue.rendering import picture
+        if self._studio is None:
+            from lunar_rescue.rendering import Studio
 
-        return picture(self.simulation, self.episode.scene)
+            self._studio = Studio(fine=1)
+        return self._studio.picture(self.episode)
 
     def close(self) -> None:
-        """Disconnect from the simulator."""
+        """Disconnect from the simulator; a second call does nothing."""
         self.simulation.close()
+        if self._studio is not None:
+            self._studio.close()
+            self._studio = None
 
     # -- the same with flat observations, for learners --------------------------------------------------------------
     def reset_flat(
@@ -127,7 +136,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         before = episode.robot.angles
         self.robot.drive(clipped, before)
         self.simulation.advance(CONTROL_SUBSTEPS)
-        episode.robot, episode.body = self.robot.state(), episode.astronaut.state()
+        episode.update(self.robot.state(), episode.astronaut.state())
         episode.steps += 1
         terms, success, failure = self._judge(episode, episode.robot.angles - before)
         truncated = not success and failure is None and episode.steps >= self.max_steps
@@ -153,22 +162,29 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
                 raise ValueError("options: a scene has its posture and task already; give scene, or posture and task")
             return scene
         if seed is None:
-            seed = int(self.np_random.integers(SEED_BITS))
+            seed = int(self.np_random.integers(TRAIN.start, TRAIN.stop))
         return sample_scene(seed, posture=posture, task=task)
 
     def _build(self, scene: Scene) -> Episode:
-        simulation = self.simulation
+        simulation, terrain = self.simulation, scene.terrain
+        if simulation.worn:
+            simulation.renew()
+            self.robot = Robot(simulation)
         simulation.clear([self.robot.handle])
+        simulation.set_up_vector(terrain.up())
         simulation.set_friction(scene.friction, [(self.robot.handle, self.robot.links)])
         self.robot.reset(scene.base_x, scene.base_y, scene.base_yaw)
         astronaut = Astronaut(simulation, scene)
+        if terrain.rough:
+            simulation.add_relief(terrain)
         rocks = [simulation.add_hull(rock.vertices()) for rock in scene.rocks]
         marks = np.concatenate([rock.marks() for rock in scene.rocks]) if scene.rocks else np.zeros((0, 3))
         robot, body = self.robot.state(fresh=True), astronaut.state()
         targets = astronaut.targets(body)
         left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
         order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
-        observer = Observer(scene, self.robot, targets)
+        entries = targets + astronaut.ways_in
+        observer = Observer(scene, self.robot, targets[order], entries[order])
         task = TASK_TYPES[scene.task](astronaut.start)
         episode = Episode(
             scene,
@@ -219,7 +235,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             else w.contact * rewards.contact(touches)
         )
         return {
-            "approach": rewards.approach(np.min(e.recent, axis=0), distance, beta=w.beta, form=w.form),
+            "approach": rewards.approach(_least(e.recent), distance, beta=w.beta, form=w.form),
             "obstacle_avoidance": obstacle,
             "joint_motion": rewards.joint_motion(moved, varphi=w.varphi),
             "time_bonus": 0.0,
@@ -240,7 +256,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def _both_under(self, e: Episode, distance: Array) -> bool:
         """Process 1: both ends in their target areas, with the astronaut above them."""
-        if e.rock_contact or np.any(distance > TARGET_RADIUS + SMALLEST_ERROR):
+        if e.rock_contact or distance.max() > TARGET_RADIUS + SMALLEST_ERROR:
             return False
         return all(map(self._is_under, e.robot.ends, e.robot.directions))
 
@@ -268,7 +284,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         rows = self.simulation.contact_forces(handle, self.robot.handle)
         up = [sum(force[2] for _, link, force in rows if link in links) for links in self.robot.arm_links]
         bears = (bool(up[0] > BEARING_FORCE), bool(up[1] > BEARING_FORCE))
-        return Contacts(self.simulation.touching(handle, self.simulation.ground), bears)
+        return Contacts(self.simulation.touching_ground(handle), bears)
 
     def _info(self, e: Episode, terms: dict[str, float], success: bool, failure: str | None) -> dict[str, Any]:
         return {
@@ -281,8 +297,12 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         }
 
 
+def _least(recent: deque[Array]) -> Array:
+    return recent[0] if len(recent) == 1 else np.min(recent, axis=0)
+
+
 def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
     array = np.asarray(action, dtype=np.float64)
-    if array.shape != (JOINTS,) or not np.all(np.isfinite(array)):
+    if array.shape != (JOINTS,) or not math.isfinite(array.sum()):
         raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
-    return np.clip(array, -1.0, 1.0)
+    return np.minimum(np.maximum(array, -1.0), 1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +37,30 @@ class Episode:
     held: int = 0
     steps: int = 0
     rock_contact: bool = False
+    _ways: Array = field(init=False)  # from targets to entries (2, 3) [m]
+    _directions: Array = field(init=False)  # the same, unit length
+    _lengths: Array = field(init=False)
+    _targets: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Keep what stays the same."""
+        self._ways = self.astronaut.ways_in[self.order]
+        self._lengths = _lengths(self._ways)
+        self._directions = self._ways / self._lengths[:, None]
+        self.update(self.robot, self.body)
+
+    def update(self, robot: RobotState, body: AstronautState) -> None:
+        """Take over a new state."""
+        self.robot, self.body = robot, body
+        self._targets = self.astronaut.targets(body)[self.order]
 
     def targets(self) -> Array:
         """P_G of arm A and arm B (2, 3) [m]."""
-        return self.astronaut.targets(self.body)[self.order]
+        return self._targets
 
     def entries(self) -> Array:
         """Where the way in to each target begins, before the body, of arm A and arm B (2, 3) [m]."""
-        return self.targets() + self.astronaut.ways_in[self.order]
+        return self._targets + self._ways
 
     def distances(self) -> Array:
         """D of each arm end to its target area, plus a detour for an end over the body (2,) [m].
@@ -54,12 +70,12 @@ class Episode:
         the target where every small motion makes D larger, and D stays continuous (a jump could be crossed again and
         again for reward; tried, see the training log).
         """
-        from_target, ways = self.robot.ends - self.targets(), self.astronaut.ways_in[self.order]
-        length = np.sqrt((ways * ways).sum(axis=1))
-        depth = np.maximum(0.0, length - (from_target * ways).sum(axis=1) / length)
+        from_target = self.robot.ends - self._targets
+        depth = np.maximum(0.0, self._lengths - np.einsum("ij,ij->i", from_target, self._directions))
         height = np.maximum(0.0, from_target[:, 2] - OVER)
-        return _lengths(from_target) + np.minimum(depth, height)
+        return _lengths(from_target) + SMALLEST_ERROR + np.minimum(depth, height)
 
 
 def _lengths(vectors: Array) -> Array:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + SMALLEST_ERROR
+    lengths: Array = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return lengths

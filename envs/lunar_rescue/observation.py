@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue.astronaut import AstronautState
-from lunar_rescue.robot import ARMS, JOINTS, WAIST, Robot, RobotState
+from lunar_rescue.robot import JOINTS, WAIST, Robot, RobotState
 from lunar_rescue.rocks import MAX_ROCKS
 from lunar_rescue.scene import TASKS, Scene
 from lunar_rescue.suit import KEYPOINT_NAMES
@@ -39,6 +39,11 @@ class Entry:
     meaning: str
 
 
+#: Distances before a target at which the ground's height is seen [m].
+GROUND_AT = (0.95, 0.75, 0.55, -0.60, -0.90)
+GROUND_POINTS = len(GROUND_AT)
+GROUND_UNIT = 0.1  # m
+
 _ARM = (
     "5 angles from q_init [60 deg], 5 speeds [1.5 rad/s], 5 motor torques [limit], end position (3) [m], "
     "plate direction (3)"
@@ -62,8 +67,15 @@ ENTRIES = (
     Entry(
         "P_E",
         5 * MAX_ROCKS,
-        f"obstacles, nearest to the targets first, {MAX_ROCKS} rows: position of the top mark (3) [m], "
-        "radius of the ring of flank marks [m], present (1 or 0)",
+        f"obstacles, nearest to the targets first, {MAX_ROCKS} rows, unused ones zero: "
+        "position of the top mark (3) [m], radius of the ring of flank marks [m], present (1 or 0)",
+    ),
+    Entry(
+        "P_T",
+        3 + 2 * GROUND_POINTS,
+        "ground: up vector (3), then for arm A and arm B the ground's height along the way in, at "
+        f"{', '.join(f'{d:g}' for d in GROUND_AT)} m before the target (negative is beyond) (2 x {GROUND_POINTS}) "
+        "[0.1 m]",
     ),
     Entry("P_R", 4, "robot base in the work area: x, y [m], cos and sin of its heading"),
     Entry("a_prev", JOINTS, "previous action"),
@@ -74,6 +86,8 @@ ENTRIES = (
 SIZE = sum(entry.size for entry in ENTRIES)
 _STARTS = np.cumsum([0] + [entry.size for entry in ENTRIES])
 SLICES: dict[str, slice] = {e.key: slice(int(a), int(a) + e.size) for e, a in zip(ENTRIES, _STARTS, strict=False)}
+_ARMS = slice(SLICES["P_A"].start, SLICES["P_B"].stop)
+_WAIST, _GOALS, _BODY, _ACTION, _PHASE = (SLICES[key] for key in ("P_W", "P_G", "P_P", "a_prev", "phase"))
 
 
 def observation_space() -> spaces.Dict:
@@ -94,16 +108,33 @@ def observation_table() -> list[dict[str, object]]:
 class Observer:
     """Fills the observation of one episode."""
 
-    def __init__(self, scene: Scene, robot: Robot, targets: Array) -> None:
-        """Prepare everything that stays the same during the episode; ``targets`` (2, 3) orders the rocks."""
+    def __init__(self, scene: Scene, robot: Robot, targets: Array, entries: Array) -> None:
+        """Prepare everything that stays the same during the episode.
+
+        Args:
+            scene: The scene.
+            robot: For its limits.
+            targets: Of arm A and arm B at the start, also order the rocks (2, 3) [m].
+            entries: Where the ways in begin, of arm A and arm B (2, 3) [m].
+        """
         self._robot = robot
         c, s = math.cos(scene.base_yaw), math.sin(scene.base_yaw)
         self._world_to_base = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]).T  # rows times this
         self._base = np.array([scene.base_x, scene.base_y, 0.0])
+        self._scales = 1.0 / np.array([robot.window, robot.speed_limits, robot.torque_limits])
+        self._joints = np.empty((3, JOINTS))
         self._template = np.zeros(SIZE)
         self._template[SLICES["P_R"]] = [scene.base_x, scene.base_y, c, s]
         self._template[SLICES["I"]] = [float(scene.task == task) for task in TASKS]
         self._template[SLICES["P_E"]] = self._obstacles(scene, targets).ravel()
+        self._template[SLICES["P_T"]] = self._ground(scene, targets, entries)
+
+    def _ground(self, scene: Scene, targets: Array, entries: Array) -> Array:
+        ways = (entries - targets)[:, None, :2]
+        ways = ways / np.sqrt((ways * ways).sum(axis=-1, keepdims=True))
+        spots = targets[:, None, :2] + ways * np.array(GROUND_AT)[:, None]
+        heights = scene.terrain.height(spots[..., 0], spots[..., 1]) / GROUND_UNIT
+        return np.concatenate([scene.terrain.up() @ self._world_to_base, heights.ravel()])
 
     def _obstacles(self, scene: Scene, targets: Array) -> Array:
         rows = np.zeros((MAX_ROCKS, 5))
@@ -136,16 +167,23 @@ class Observer:
         points = self.to_base(np.concatenate([robot.ends, targets, entries, body.centre[None], skeleton]))
         turned = np.concatenate([robot.directions, body.rotation[:, :2].T, body.velocity[None], body.spin[None]])
         turned = turned @ self._world_to_base
-        angles = (robot.angles - self._robot.initial) / self._robot.window
-        speeds = robot.speeds / self._robot.speed_limits
-        torques = robot.torques / self._robot.torque_limits
-        for index, (arm, key) in enumerate(zip(ARMS, ("P_A", "P_B"), strict=True)):
-            j = arm.joints
-            out[SLICES[key]] = np.concatenate([angles[j], speeds[j], torques[j], points[index], turned[index]])
-        out[SLICES["P_W"]] = angles[WAIST], speeds[WAIST], torques[WAIST]
-        ends, goals, ways = points[0:2], points[2:4], points[4:6]
-        out[SLICES["P_G"]] = np.concatenate([goals, goals - ends, ways - ends], axis=None)
-        out[SLICES["P_P"]] = np.concatenate([points[6], turned[2:6], points[7:]], axis=None)
-        out[SLICES["a_prev"]] = action
-        out[SLICES["phase"]] = phase
-        return np.clip(out, -BOUND, BOUND).astype(np.float32)
+        joints = self._joints
+        joints[0] = robot.angles - self._robot.initial
+        joints[1], joints[2] = robot.speeds, robot.torques
+        joints *= self._scales
+        arms = out[_ARMS].reshape(2, -1)
+        arms[:, :15] = joints[:, :WAIST].reshape(3, 2, 5).transpose(1, 0, 2).reshape(2, 15)
+        arms[:, 15:18], arms[:, 18:] = points[:2], turned[:2]
+        out[_WAIST] = joints[:, WAIST]
+        goals = out[_GOALS].reshape(3, 2, 3)
+        goals[0] = points[2:4]
+        goals[1:] = points[2:6].reshape(2, 2, 3) - points[:2]
+        astronaut = out[_BODY]
+        astronaut[:3] = points[6]
+        astronaut[3:15] = turned[2:6].ravel()
+        astronaut[15:] = points[7:].ravel()
+        out[_ACTION] = action
+        out[_PHASE] = phase
+        np.maximum(out, -BOUND, out=out)
+        np.minimum(out, BOUND, out=out)
+        return out.astype(np.float32)

@@ -1,4 +1,4 @@
-"""The 20 postures, read and checked from one data file (P8)."""
+"""The 20 postures, read and checked from one data file (P8), and those of the held-out split from a second."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from lunar_rescue.suit import LIMB_LIMITS, LIMB_NAMES, Limbs, mass_properties, surface_points
 
 DATA_FILE = Path(__file__).parent / "data" / "postures.json"
+HELDOUT_FILE = Path(__file__).parent / "data" / "heldout_postures.json"
 
 #: Front (ventral) direction of each body attitude before it settles, head along +x.
 ATTITUDE_FRONT: dict[str, tuple[float, float, float]] = {
@@ -162,3 +163,19 @@ def _number(value: Any, where: str, low: float, high: float, unit: str = "") -> 
 def postures() -> dict[str, Posture]:
     """The project's 20 postures by name, in the file's order."""
     return load_postures()
+
+
+@lru_cache(maxsize=1)
+def heldout_postures() -> dict[str, Posture]:
+    """Postures that no training scene has, by name; see ``lunar_rescue.splits``."""
+    held = load_postures(HELDOUT_FILE)
+    twice = sorted(set(held) & set(postures()))
+    if twice:
+        raise ValueError(f"{HELDOUT_FILE}: also in {DATA_FILE.name}: {', '.join(twice)}")
+    return held
+
+
+@lru_cache(maxsize=1)
+def all_postures() -> dict[str, Posture]:
+    """Every posture that a scene may name."""
+    return {**postures(), **heldout_postures()}

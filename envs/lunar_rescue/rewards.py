@@ -5,6 +5,7 @@ Every function is one term; :class:`RewardWeights` says how the environment sums
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -17,13 +18,14 @@ ApproachForm = Literal["literal", "signed"]
 def _distances(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return distances as an array; a distance that is not finite and positive is an error."""
     array = np.asarray(values, dtype=np.float64)
-    if not np.all(np.isfinite(array)) or np.any(array <= 0.0):
+    # Neither bound holds for nan, so two reductions say it all.
+    if array.size and not (array.min() > 0.0 and array.max() < np.inf):
         raise ValueError(f"{name}: expected finite distances above 0 m, got {values!r}")
     return array
 
 
 def _finite(value: float, name: str) -> float:
-    if not np.isfinite(value):
+    if not math.isfinite(value):
         raise ValueError(f"{name}: expected a finite number, got {value!r}")
     return float(value)
 
@@ -52,7 +54,7 @@ def approach(best_distance: ArrayLike, distance: ArrayLike, *, beta: float, form
     if form not in ("literal", "signed"):
         raise ValueError(f"form: expected 'literal' or 'signed', got {form!r}")
     gain = np.exp(best - now) if form == "literal" else np.expm1(best - now)
-    return _finite(beta, "beta") * float(np.mean(gain))
+    return _finite(beta, "beta") * (float(gain.sum()) / gain.size)
 
 
 def obstacle_avoidance(distances: ArrayLike, *, rho: float, xi: float) -> float:
@@ -67,7 +69,7 @@ def obstacle_avoidance(distances: ArrayLike, *, rho: float, xi: float) -> float:
         ValueError: On a distance that is not finite and positive.
     """
     array = _distances(distances, "distances")
-    return -_finite(rho, "rho") * float(np.log(np.sum(_finite(xi, "xi") / array) + 1.0))
+    return -_finite(rho, "rho") * math.log(float((_finite(xi, "xi") / array).sum()) + 1.0)
 
 
 def joint_motion(delta: ArrayLike, *, varphi: float) -> float:
@@ -78,9 +80,10 @@ def joint_motion(delta: ArrayLike, *, varphi: float) -> float:
         varphi: Weight [1/rad].
     """
     array = np.asarray(delta, dtype=np.float64)
-    if not np.all(np.isfinite(array)):
+    moved = float(np.abs(array).sum())
+    if not math.isfinite(moved):
         raise ValueError(f"delta: expected finite angles, got {delta!r}")
-    return -_finite(varphi, "varphi") * float(np.sum(np.abs(array)))
+    return -_finite(varphi, "varphi") * moved
 
 
 def time_bonus(steps: float, max_steps: float) -> float:

@@ -44,7 +44,8 @@ ARM_B = Arm("B", -1, slice(5, 10), slice(6, 12))
 ARMS = (ARM_A, ARM_B)
 WAIST = 10  # index of the waist in joint vectors
 JOINTS = 11
-ENDS = [5, 11]  # rows of the two arm ends in link arrays
+ENDS = np.array([5, 11])  # rows of the two arm ends in link arrays
+PLATES = np.array([4, 10])  # and of the two plates' joints
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ class Robot:
 
     def joint_targets(self, action: Array) -> Array:
         """Eq. 3: q = q_init + 60 deg * action, for the waist too, clipped to the joints' limits; (11,) [rad]."""
-        return np.clip(self.initial + self.window * action, self.lower, self.upper)
+        wanted: Array = np.minimum(np.maximum(self.initial + self.window * action, self.lower), self.upper)
+        return wanted
 
     def action_for(self, angles: Array) -> Array:
         """Inverse of Eq. 3, clipped to [-1, 1]."""
@@ -122,7 +124,8 @@ class Robot:
 
     def drive(self, action: Array, angles: Array) -> None:
         """Send an action; the set-point runs ahead of ``angles`` by no more than the speed limit allows."""
-        ahead = np.clip(self.joint_targets(action) - angles, -self._reach_per_step, self._reach_per_step)
+        reach = self._reach_per_step
+        ahead = np.minimum(np.maximum(self.joint_targets(action) - angles, -reach), reach)
         self._simulation.drive(self.handle, self._joints, (angles + ahead).tolist(), self._torque_list)
 
     def switch_off(self) -> None:
@@ -134,6 +137,6 @@ class Robot:
         angles, speeds, torques = self._simulation.joint_states(self.handle, self._joints)
         torques = np.zeros_like(torques) if fresh else torques
         points = self._simulation.link_positions(self.handle, self._points)
-        along = points[ENDS] - points[[4, 10]]
-        along /= np.sqrt((along * along).sum(axis=1, keepdims=True))
+        along = points[ENDS] - points[PLATES]
+        along /= np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         return RobotState(angles, speeds, torques, points, along)

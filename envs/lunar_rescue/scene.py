@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.postures import Posture, postures
-from lunar_rescue.rocks import MAX_ROCKS, ROCK_SIZE_RANGE, Rock, draw_rock
+from lunar_rescue.postures import Posture, all_postures, heldout_postures, postures
+from lunar_rescue.rocks import MAX_ROCKS, ROCK_SIZE_RANGE, Rock, RockField, draw_field, draw_rock
+from lunar_rescue.splits import split_of
 from lunar_rescue.suit import mass_properties, surface_points
 from lunar_rescue.targets import approach_sides, target_areas
+from lunar_rescue.terrain import SMOOTH, Terrain, draw_terrain
 
 Array = NDArray[np.float64]
 
 TASKS = ("lift", "turn_over")
-TERRAINS = ("smooth",)
 
 MASS_RANGE = (160.0, 343.0)  # kg, Apollo suited person to NASA's suited, incapacitated Artemis crew member
+HELDOUT_MASSES = ((200.0, 215.0), (290.0, 305.0))  # kg, only held-out scenes have these, and they have no other
 FRICTION_RANGE = (0.7, 0.9)  # regolith friction angle 35 to 42 deg (NTRS 19730039283)
 DISTANCE_RANGE = (0.85, 0.97)  # m, base to the body's long axis; assumption: within reach, not touching
+BASE_RANGE = (0.75, 2.5)  # m, base to centre of gravity in any scene; nearer the robot would stand in the body
+BASE_RADIUS = 0.30  # m, in any scene; drawn rocks keep further away
 NEAR_EDGE_FREE = 0.40  # m, a body that reaches further towards the robot than this moves the base back by the rest
 SIDEWAYS_RANGE = (-0.08, 0.08)  # m, base along the body; assumption
 YAW_ERROR_RANGE = (-6.0, 6.0)  # deg, base from facing the body squarely; assumption
@@ -32,12 +38,12 @@ YAW_ERROR_RANGE = (-6.0, 6.0)  # deg, base from facing the body squarely; assump
 
 @dataclass(frozen=True)
 class Scene:
-    """One rescue to be made. World frame: z up, ground at z = 0.
+    """One rescue to be made. The frame stands on the ground: z is its normal, and at z = 0 the body lies on it.
 
     Attributes:
         seed: Seed that it was drawn from, or -1.
         task: ``"lift"`` or ``"turn_over"``; the task code I.
-        posture: Name of one of the 20 postures.
+        posture: Name of one of the 20 postures, or of a held-out one.
         astronaut_x: Centre of gravity at rest [m].
         astronaut_y: Centre of gravity at rest [m].
         astronaut_yaw: Heading of the head [rad].
@@ -47,7 +53,7 @@ class Scene:
         base_y: Robot base P_R [m].
         base_yaw: Robot base heading [rad].
         rocks: The rocks.
-        terrain: Kind of ground.
+        terrain: The ground.
     """
 
     seed: int
@@ -62,17 +68,17 @@ class Scene:
     base_y: float
     base_yaw: float
     rocks: tuple[Rock, ...] = ()
-    terrain: str = "smooth"
+    terrain: Terrain = SMOOTH
 
     def __post_init__(self) -> None:
         """Refuse a scene that is malformed or out of range, naming the field."""
-        known = postures()
+        known = all_postures()
         if self.posture not in known:
             raise ValueError(f"Scene.posture: expected one of {', '.join(known)}; got {self.posture!r}")
         if self.task not in known[self.posture].tasks:
             raise ValueError(f"Scene.task: posture {self.posture!r} has {known[self.posture].tasks}, got {self.task!r}")
-        if self.terrain not in TERRAINS:
-            raise ValueError(f"Scene.terrain: expected one of {TERRAINS}, got {self.terrain!r}")
+        if not isinstance(self.terrain, Terrain):
+            raise ValueError(f"Scene.terrain: expected a Terrain, got {self.terrain!r}")
         _in_range("mass", self.mass, MASS_RANGE)
         _in_range("friction", self.friction, FRICTION_RANGE)
         for name in ("astronaut_x", "astronaut_y", "astronaut_yaw", "base_x", "base_y", "base_yaw"):
@@ -86,11 +92,34 @@ class Scene:
             _in_range(f"{where}.buried", rock.buried, (0.0, 0.95))
             _in_range(f"{where}.x", rock.x, (-100.0, 100.0))
             _in_range(f"{where}.y", rock.y, (-100.0, 100.0))
+            _in_range(f"{where}.ground", rock.ground, (-1.0, 1.0))
+            _in_range(f"{where}.yaw", rock.yaw, (-100.0, 100.0))
+            if isinstance(rock.shape, bool) or not isinstance(rock.shape, int) or rock.shape < 0:
+                raise ValueError(f"Scene.{where}.shape: expected an integer >= 0, got {rock.shape!r}")
+        self._check_places()
+
+    def _check_places(self) -> None:
+        """Refuse what cannot lie where it is said to lie."""
+        x, y = self.astronaut_x, self.astronaut_y
+        _in_range("base_x, base_y: distance to the astronaut", math.hypot(self.base_x - x, self.base_y - y), BASE_RANGE)
+        if self.terrain.rough:
+            turned = (self.terrain.yaw - self.astronaut_yaw) / math.pi
+            if max(abs(self.terrain.x - x), abs(self.terrain.y - y), abs(turned - round(turned))) > 1e-6:
+                raise ValueError(
+                    "Scene.terrain: expected x, y and yaw (or yaw + pi) of the astronaut, who lies on its patch"
+                )
+        c, s = math.cos(self.astronaut_yaw), math.sin(self.astronaut_yaw)
+        for index, rock in enumerate(self.rocks):
+            dx, dy = rock.x - x, rock.y - y
+            if _least_distance(_footprint(self.model), c * dx + s * dy, c * dy - s * dx) < 0.5 * rock.diameter:
+                raise ValueError(f"Scene.rocks[{index}]: lies in the astronaut")
+            if math.hypot(rock.x - self.base_x, rock.y - self.base_y) < 0.5 * rock.diameter + BASE_RADIUS:
+                raise ValueError(f"Scene.rocks[{index}]: lies under the robot's base")
 
     @property
     def model(self) -> Posture:
         """The posture itself."""
-        return postures()[self.posture]
+        return all_postures()[self.posture]
 
     @property
     def side(self) -> int:
@@ -117,6 +146,8 @@ class Scene:
         fields["rocks"] = tuple(
             Rock(**_checked_fields(rock, Rock, f"Scene.rocks[{i}]")) for i, rock in enumerate(rocks)
         )
+        if "terrain" in fields:
+            fields["terrain"] = Terrain(**_checked_fields(fields["terrain"], Terrain, "Scene.terrain"))
         return cls(**fields)
 
 
@@ -150,7 +181,7 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
     """Draw a scene, a pure function of its arguments.
 
     Args:
-        seed: Any integer >= 0.
+        seed: Any integer >= 0; its split (``lunar_rescue.splits``) decides about postures, masses, rocks and reliefs.
         posture: Fix the posture.
         task: Fix the task; without a posture, one that has the task is drawn.
 
@@ -159,24 +190,41 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed: expected an integer >= 0, got {seed!r}")
+    heldout = split_of(int(seed)) == "heldout"
     rng = np.random.default_rng(int(seed))
-    model, chosen = _draw_task(rng, posture, task)
-    yaw = float(rng.uniform(0, 2 * np.pi))
+    model, chosen = _draw_task(rng, posture, task, heldout_postures() if heldout else postures())
     x, y = (float(v) for v in rng.uniform(-0.5, 0.5, 2))
-    side = int(rng.choice(approach_sides(model)))
-    base = _draw_base(rng, model, chosen, side, (x, y, yaw))
-    mass, friction = float(rng.uniform(*MASS_RANGE)), float(rng.uniform(*FRICTION_RANGE))
-    rocks = _draw_rocks(rng, model, chosen, side, (x, y, yaw), base)
-    return Scene(int(seed), chosen, model.name, x, y, yaw, mass, friction, *base, rocks=rocks)
+    pose = x, y, float(rng.uniform(0, 2 * np.pi))
+    sides = approach_sides(model)
+    side = sides[int(rng.integers(len(sides)))]
+    base = _draw_base(rng, model, chosen, side, pose)
+    mass, friction = _draw_mass(rng, heldout), float(rng.uniform(*FRICTION_RANGE))
+    terrain = draw_terrain(rng, pose, side if len(sides) == 1 else 0, heldout)
+    rocks = _draw_rocks(rng, model, chosen, side, pose, base, terrain, draw_field(rng, heldout))
+    return Scene(int(seed), chosen, model.name, *pose, mass, friction, *base, rocks=rocks, terrain=terrain)
 
 
-def _draw_task(rng: np.random.Generator, posture: str | None, task: str | None) -> tuple[Posture, str]:
-    known = postures()
+def _draw_mass(rng: np.random.Generator, heldout: bool) -> float:
+    """Uniform over the held-out intervals, or over all the rest of the range."""
+    edges = [MASS_RANGE[0], *(edge for interval in HELDOUT_MASSES for edge in interval), MASS_RANGE[1]]
+    pieces = list(itertools.pairwise(edges))[1 if heldout else 0 :: 2]
+    along = float(rng.uniform()) * sum(high - low for low, high in pieces)
+    for low, high in pieces:
+        if along < high - low:
+            return low + along
+        along -= high - low
+    return pieces[-1][1]
+
+
+def _draw_task(
+    rng: np.random.Generator, posture: str | None, task: str | None, drawn: dict[str, Posture]
+) -> tuple[Posture, str]:
+    known = all_postures()
     if posture is not None and posture not in known:
         raise ValueError(f"posture: expected one of {', '.join(known)}; got {posture!r}")
     if task is not None and task not in TASKS:
         raise ValueError(f"task: expected one of {TASKS}, got {task!r}")
-    names = [posture] if posture else [n for n, p in known.items() if task is None or task in p.tasks]
+    names = [posture] if posture else [n for n, p in drawn.items() if task is None or task in p.tasks]
     model = known[names[int(rng.integers(len(names)))]]
     if task is not None and task not in model.tasks:
         raise ValueError(f"task: posture {model.name!r} has {model.tasks}, not {task!r}")
@@ -205,37 +253,60 @@ def _draw_rocks(
     side: int,
     pose: tuple[float, float, float],
     base: tuple[float, float, float],
+    terrain: Terrain,
+    field: RockField,
 ) -> tuple[Rock, ...]:
-    """Rocks around the body, never in it, in the base or right in a target area."""
-    x, y, yaw = pose
-    spin = Rotation.from_euler("z", yaw)
-    low = model.resting_surface()
-    body = (spin.apply(low[low[:, 2] < 0.35])[:, :2] + [x, y])[::7]
-    areas = target_areas(model, side, task).offsets
-    targets = spin.apply(areas)[:, :2] + [x, y]
+    """Rocks around the body, never in it, in the base or right in a target area.
+
+    All is checked in the body's frame, where body and targets are the same in each scene of a posture.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+
+    def to_body(x: float, y: float) -> tuple[float, float]:
+        dx, dy = x - pose[0], y - pose[1]
+        return c * dx + s * dy, c * dy - s * dx
+
+    body = _footprint(model)
+    targets = target_areas(model, side, task).offsets[:, :2].tolist()
+    stand = to_body(base[0], base[1])
+    facing = base[2] - pose[2]
+    forward = math.cos(facing), math.sin(facing)
+    placed: list[tuple[float, float, float]] = []
     rocks: list[Rock] = []
-    for _ in range(int(rng.integers(0, MAX_ROCKS + 1))):
-        rock = draw_rock(rng, (x, y))
-        spot, radius = np.array([rock.x, rock.y]), 0.55 * rock.diameter
-        clear = [
-            np.linalg.norm(body - spot, axis=1).min() > radius + 0.04,
-            np.linalg.norm(targets - spot, axis=1).min() > radius + 0.13,
-            math.hypot(rock.x - base[0], rock.y - base[1]) > radius + 0.42,
-            all(math.hypot(rock.x - o.x, rock.y - o.y) > 0.5 * (rock.diameter + o.diameter) for o in rocks),
-            not _in_corridor(spot, radius, targets, base),
-        ]
-        if all(clear):
-            rocks.append(rock)
+    for _ in range(field.count):
+        rock = draw_rock(rng, pose[:2], field)
+        x, y = to_body(rock.x, rock.y)
+        radius = 0.55 * rock.diameter
+        if (
+            math.hypot(x - stand[0], y - stand[1]) > radius + 0.42
+            and all(math.hypot(x - o[0], y - o[1]) > 0.5 * (rock.diameter + o[2]) for o in placed)
+            and all(math.hypot(x - t[0], y - t[1]) > radius + 0.13 for t in targets)
+            and not any(_blocks_way_in(x - t[0], y - t[1], radius, forward) for t in targets)
+            and _least_distance(body, x, y) > radius + 0.04
+        ):
+            placed.append((x, y, rock.diameter))
+            rocks.append(rock if not terrain.rough else replace(rock, ground=float(terrain.height(rock.x, rock.y))))
     return tuple(rocks)
 
 
-def _in_corridor(spot: Array, radius: float, targets: Array, base: tuple[float, float, float]) -> bool:
-    """Whether a rock blocks the straight strip in which a plate must slide in at ground level, 0.35 m before it."""
-    forward = np.array([math.cos(base[2]), math.sin(base[2])])
-    relative = spot - targets
-    ahead = relative @ forward
-    aside = np.abs(relative @ np.array([-forward[1], forward[0]]))
-    return bool(np.any((ahead > -0.35) & (ahead < 0.15) & (aside < radius + 0.10)))
+def _blocks_way_in(dx: float, dy: float, radius: float, forward: tuple[float, float]) -> bool:
+    """Whether a rock lies in the straight strip in which a plate must slide in at ground level, 0.35 m before it."""
+    ahead = dx * forward[0] + dy * forward[1]
+    aside = abs(dy * forward[0] - dx * forward[1])
+    return -0.35 < ahead < 0.15 and aside < radius + 0.10
+
+
+@lru_cache(maxsize=64)
+def _footprint(model: Posture) -> Array:
+    """Points of the resting body below rocks' height, in its own frame (M, 2) [m], thinned to a 2 cm grid."""
+    low = model.resting_surface()
+    cells = np.unique(np.round(low[low[:, 2] < 0.35][:, :2] / 0.02).astype(np.int64), axis=0)
+    return 0.02 * cells.astype(np.float64)
+
+
+def _least_distance(points: Array, x: float, y: float) -> float:
+    dx, dy = points[:, 0] - x, points[:, 1] - y
+    return math.sqrt(float((dx * dx + dy * dy).min()))
 
 
 def rest_pose(scene: Scene) -> tuple[Array, Rotation]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.postures import DATA_FILE, Posture, attitude_rotation, load_postures
+from lunar_rescue.postures import DATA_FILE, HELDOUT_FILE, Posture, attitude_rotation, load_postures
 from lunar_rescue.simulation import SUBSTEP, Simulation
 from lunar_rescue.suit import mass_properties, surface_points
 
@@ -37,7 +37,14 @@ def settle(posture: Posture) -> tuple[float, tuple[float, ...]]:
     return float(centre[2]), tuple(float(v) for v in level.as_quat(canonical=True))
 
 
-def main(path: Path = DATA_FILE) -> int:
+def main() -> int:
+    """Settle the postures of both files."""
+    for path in (DATA_FILE, HELDOUT_FILE):
+        settle_file(path)
+    return 0
+
+
+def settle_file(path: Path) -> None:
     """Settle every posture of a file and write the file back."""
     document = json.loads(path.read_text(encoding="utf-8"))
     for entry, posture in zip(document["postures"], load_postures(path).values(), strict=True):
@@ -46,7 +53,6 @@ def main(path: Path = DATA_FILE) -> int:
         front = Rotation.from_quat(quaternion).apply([1.0, 0.0, 0.0])
         print(f"{posture.name:28s} height {height:.3f} m, front {np.round(front, 2)}")
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    return 0
 
 
 if __name__ == "__main__":

@@ -1,13 +1,15 @@
 """The only module that calls PyBullet: one client, ground, robot, astronaut and rocks as rigid bodies in contact.
 
-Speed matters here: state is read in as few calls as possible, the astronaut's and rocks' bodies are made anew at each
-reset (which also empties the contact cache, without which seeded resets do not repeat), and nothing is queried by
-closest points.
+Speed matters here: state is read in as few calls as possible, nothing is queried by closest points, and the bodies of
+an episode (astronaut, rocks, mounds) are made anew at each reset from shapes that are kept, with next to nothing to be
+seen (pictures are taken in a client of their own). A body that is removed leaves some hundred bytes behind in PyBullet,
+so the whole world is made anew every ``WORLD_LIFE`` episodes.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from lunar_rescue.quiet import no_greeting
 from lunar_rescue.suit import Limbs, MassProperties, Part, mass_properties, suit_parts
+from lunar_rescue.terrain import Mound, Terrain, mounds
 
 with no_greeting():
     import pybullet as pb
@@ -32,11 +35,9 @@ POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no 
 RESTITUTION = 0.0  # regolith does not bounce
 # Small, they stop a rocking body as dust would (assumption) [m].
 SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
-# Colours (red, green, blue, opacity), and the black sky of a place without air.
-REGOLITH, SUIT, ROCK = (0.62, 0.60, 0.56, 1.0), (0.95, 0.94, 0.90, 1.0), (0.36, 0.33, 0.30, 1.0)
-SKY = (12, 12, 18)
-SUN_BESIDE = 40.0  # deg, the sun stands this far beside the camera, so that shapes show
+WORLD_LIFE = 256  # episodes
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
+MOUND_FILE = Path(__file__).parent / "data" / "mound.obj"  # a unit cap, ``1 - rho^2`` in rings of ten corners
 
 
 @dataclass(frozen=True)
@@ -54,17 +55,35 @@ class Simulation:
         """Connect and load what never changes: ground and robot."""
         with no_greeting():
             self._client: Any = BulletClient(pb.GUI if gui else pb.DIRECT)
-        self._client.setGravity(0, 0, -LUNAR_GRAVITY)
+        # Looked up once: the client binds a function anew at each access.
+        self._step = self._client.stepSimulation
+        self._joint_states, self._link_states = self._client.getJointStates, self._client.getLinkStates
+        self._base_pose, self._base_velocity = self._client.getBasePositionAndOrientation, self._client.getBaseVelocity
+        self._set_motors, self._contact_points = self._client.setJointMotorControlArray, self._client.getContactPoints
+        self.renew()
+
+    def renew(self) -> None:
+        """Empty the world and load the ground again; every other body is gone."""
+        self._client.resetSimulation()
+        self.set_up_vector(np.array([0.0, 0.0, 1.0]))
         self._client.setPhysicsEngineParameter(
             fixedTimeStep=SUBSTEP, numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1
         )
         shape = self._client.createCollisionShape(pb.GEOM_PLANE)
-        sight = self._client.createVisualShape(
-            pb.GEOM_BOX, halfExtents=(30, 30, 0.01), visualFramePosition=(0, 0, -0.01), rgbaColor=REGOLITH
-        )
-        self.ground: int = self._client.createMultiBody(0, shape, sight)
+        # Without a shape to be seen PyBullet makes one of each collision shape, which costs more than the body itself.
+        speck = [(0.0, 0.0, 0.0), (1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0)]
+        self._unseen = int(self._client.createVisualShape(pb.GEOM_MESH, vertices=speck, indices=[0, 1, 2]))
+        self.ground = int(self._client.createMultiBody(0, shape, self._unseen))
+        self.relief: int | None = None
+        self._shapes: dict[Any, int] = {}
         self._removable: list[int] = []
+        self._episodes = 0
         self.friction = 0.8
+
+    @property
+    def worn(self) -> bool:
+        """Whether the world should be renewed before the next episode."""
+        return self._episodes >= WORLD_LIFE
 
     def close(self) -> None:
         """Disconnect; a second call does nothing."""
@@ -98,10 +117,9 @@ class Simulation:
     def add_suit(self, limbs: Limbs, mass: float) -> RigidBody:
         """Make the astronaut's rigid body, far away; place it with ``place``."""
         properties = mass_properties(limbs)
-        shape = self._compound(suit_parts(limbs))
-        handle = self._client.createMultiBody(
-            mass, shape, -1, (0, 0, 50), (0, 0, 0, 1), properties.centre.tolist(), properties.axes.tolist()
-        )
+        shape = self._kept(limbs, lambda: self._compound(suit_parts(limbs)))
+        centre, axes = properties.centre.tolist(), properties.axes.tolist()
+        handle = self._client.createMultiBody(mass, shape, self._unseen, (0, 0, 50), (0, 0, 0, 1), centre, axes)
         self._client.changeDynamics(
             handle,
             -1,
@@ -111,7 +129,6 @@ class Simulation:
             spinningFriction=SPINNING_FRICTION,
             rollingFriction=ROLLING_FRICTION,
         )
-        self._client.changeVisualShape(handle, -1, rgbaColor=SUIT)
         self._set_friction(handle)
         self._removable.append(handle)
         return RigidBody(handle, _inverse_axes(properties))
@@ -129,18 +146,44 @@ class Simulation:
             )
         )
 
+    def _kept(self, key: Any, make: Callable[[], int]) -> int:
+        """A collision shape that is made once in a world's life."""
+        if key not in self._shapes:
+            self._shapes[key] = make()
+        return self._shapes[key]
+
     def add_hull(self, vertices: Array) -> int:
         """Add a fixed convex body (a rock), corners in the world (M, 3) [m]."""
         centre = vertices.mean(axis=0)
         shape = self._client.createCollisionShape(pb.GEOM_MESH, vertices=(vertices - centre).tolist())
-        handle = int(self._client.createMultiBody(0, shape, -1, centre.tolist()))
-        self._client.changeVisualShape(handle, -1, rgbaColor=ROCK)
+        return self._add_fixed(shape, centre.tolist(), 0.0)
+
+    def add_relief(self, terrain: Terrain) -> int:
+        """Add the mounds of a terrain as one fixed body."""
+        field = mounds(terrain.relief, terrain.patch)
+        shape = self._kept(field, lambda: self._mounds(field))
+        self.relief = self._add_fixed(shape, [terrain.x, terrain.y, 0.0], terrain.yaw)
+        return self.relief
+
+    def _mounds(self, field: tuple[Mound, ...]) -> int:
+        return int(
+            self._client.createCollisionShapeArray(
+                shapeTypes=[pb.GEOM_MESH] * len(field),
+                fileNames=[str(MOUND_FILE)] * len(field),
+                meshScales=[(m.along, m.across, m.height) for m in field],
+                collisionFramePositions=[(m.x, m.y, 0.0) for m in field],
+                collisionFrameOrientations=[_about_z(m.yaw) for m in field],
+            )
+        )
+
+    def _add_fixed(self, shape: int, position: list[float], yaw: float) -> int:
+        handle = int(self._client.createMultiBody(0, shape, self._unseen, position, _about_z(yaw)))
         self._set_friction(handle)
         self._removable.append(handle)
         return handle
 
     def clear(self, staying: list[int]) -> None:
-        """Remove all astronauts and rocks, and empty the contact cache of the bodies that stay.
+        """Remove all astronauts, rocks and mounds, and empty the contact cache of the bodies that stay.
 
         Cached contacts would leak from one episode into the next (a seeded reset would not repeat): with every body
         far from every other, one collision detection empties the cache. The bodies that stay must be placed anew.
@@ -148,9 +191,15 @@ class Simulation:
         for handle in self._removable:
             self._client.removeBody(handle)
         self._removable.clear()
+        self.relief = None
+        self._episodes += 1
         for index, handle in enumerate(staying):
             self.place(handle, np.array([0.0, 0.0, 100.0 * (index + 1)]), np.array([0.0, 0.0, 0.0, 1.0]))
         self._client.performCollisionDetection()
+
+    def set_up_vector(self, up: Array) -> None:
+        """Let gravity pull against this unit vector (3,); a slope is a direction of gravity, see ``terrain``."""
+        self._client.setGravity(*(-LUNAR_GRAVITY * up).tolist())
 
     def set_friction(self, coefficient: float, bodies: list[tuple[int, int]]) -> None:
         """Set the Coulomb coefficient between any two surfaces; ``bodies`` are (handle, links) that stay."""
@@ -181,13 +230,9 @@ class Simulation:
     # -- moving and reading ----------------------------------------------------------------------------------------
     def drive(self, body: int, joints: list[int], targets: list[float], torques: list[float]) -> None:
         """Set position targets of motors [rad] with torque limits [N m]."""
-        self._client.setJointMotorControlArray(
-            body,
-            joints,
-            pb.POSITION_CONTROL,
-            targetPositions=targets,
-            forces=torques,
-            positionGains=[POSITION_GAIN] * len(joints),
+        gains = [POSITION_GAIN] * len(joints)
+        self._set_motors(
+            body, joints, pb.POSITION_CONTROL, targetPositions=targets, forces=torques, positionGains=gains
         )
 
     def release(self, body: int, joints: list[int]) -> None:
@@ -203,41 +248,47 @@ class Simulation:
     def advance(self, substeps: int) -> None:
         """Let time pass."""
         for _ in range(substeps):
-            self._client.stepSimulation()
+            self._step()
 
     def joint_states(self, body: int, joints: list[int]) -> tuple[Array, Array, Array]:
         """Angles [rad], speeds [rad/s] and motor torques [N m], (n,) each."""
-        rows = self._client.getJointStates(body, joints)
-        return np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[3] for r in rows])
+        rows = self._joint_states(body, joints)
+        angles, speeds, _, torques = zip(*rows, strict=True)
+        table = np.array((angles, speeds, torques))
+        return table[0], table[1], table[2]
 
     def link_positions(self, body: int, links: list[int]) -> Array:
         """Positions of link frames (joint origins), (n, 3) [m]."""
-        rows = self._client.getLinkStates(body, links, computeForwardKinematics=1)
+        rows = self._link_states(body, links, computeForwardKinematics=1)
         return np.array([r[4] for r in rows])
 
     def pose(self, body: RigidBody) -> tuple[Array, Rotation]:
         """Centre of gravity (3,) [m] and rotation of the body frame."""
-        position, quaternion = self._client.getBasePositionAndOrientation(body.handle)
+        position, quaternion = self._base_pose(body.handle)
         return np.array(position), Rotation.from_quat(quaternion) * body.axes_inverse
 
     def raw_pose(self, body: RigidBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Centre of gravity and quaternion of the principal axes, as Bullet keeps them."""
-        pose: tuple[tuple[float, ...], tuple[float, ...]] = self._client.getBasePositionAndOrientation(body.handle)
+        pose: tuple[tuple[float, ...], tuple[float, ...]] = self._base_pose(body.handle)
         return pose
 
     def velocity(self, body: RigidBody) -> tuple[Array, Array]:
         """Linear [m/s] and angular [rad/s] velocity, (3,) each."""
-        linear, angular = self._client.getBaseVelocity(body.handle)
+        linear, angular = self._base_velocity(body.handle)
         return np.array(linear), np.array(angular)
 
     def touching(self, first: int, second: int) -> bool:
         """Whether two bodies are in contact after the last substep."""
-        return any(row[8] <= 0.0 or row[9] > 0.0 for row in self._client.getContactPoints(first, second))
+        return any(row[8] <= 0.0 or row[9] > 0.0 for row in self._contact_points(first, second))
+
+    def touching_ground(self, body: int) -> bool:
+        """Whether a body is in contact with plane or mounds after the last substep."""
+        return self.touching(body, self.ground) or (self.relief is not None and self.touching(body, self.relief))
 
     def contact_forces(self, first: int, second: int) -> list[tuple[int, int, Array]]:
         """Rows (link of first, link of second, force on first (3,) [N]) of the last substep."""
         rows = []
-        for row in self._client.getContactPoints(first, second):
+        for row in self._contact_points(first, second):
             force = row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13])
             rows.append((int(row[3]), int(row[4]), force))
         return rows
@@ -245,36 +296,156 @@ class Simulation:
     def penetration(self, first: int, second: int) -> float:
         """How deep two bodies overlap as they are placed now [m]; slow, for tests."""
         self._client.performCollisionDetection()
-        return max((-row[8] for row in self._client.getContactPoints(first, second)), default=0.0)
+        return max((-row[8] for row in self._contact_points(first, second)), default=0.0)
 
     def ray_hits(self, start: Array, end: Array, handle: int) -> bool:
         """Whether the first thing on a ray is this body."""
         return bool(self._client.rayTest(start.tolist(), end.tolist())[0][0] == handle)
 
-    def camera(
-        self, target: list[float], distance: float, yaw: float, pitch: float, size: tuple[int, int]
-    ) -> NDArray[np.uint8]:
-        """Take a picture with the software renderer, (height, width, 3); angles [deg], distance [m]."""
-        width, height = size
-        sun = math.radians(yaw + SUN_BESIDE)
-        view = self._client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0, 2)
-        projection = self._client.computeProjectionMatrixFOV(45, width / height, 0.05, 30)
-        _, _, colours, _, bodies = self._client.getCameraImage(
-            width,
-            height,
-            view,
-            projection,
-            renderer=pb.ER_TINY_RENDERER,
-            shadow=1,
-            lightDirection=(math.sin(sun), -math.cos(sun), 0.9),
-            lightAmbientCoeff=0.5,
-            lightDiffuseCoeff=0.65,
-            lightSpecularCoeff=0.05,
-        )
-        picture = np.reshape(np.asarray(colours, dtype=np.uint8), (height, width, 4))[:, :, :3].copy()
-        picture[np.reshape(bodies, (height, width)) < 0] = SKY
-        return picture
-
 
 def _inverse_axes(properties: MassProperties) -> Rotation:
     return Rotation.from_quat(properties.axes).inv()
+
+
+def _about_z(yaw: float) -> tuple[float, float, float, float]:
+    """Quaternion x, y, z, w of a heading [rad]."""
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+class Stage:
+    """Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
+
+    def __init__(self, window: bool = False) -> None:
+        """Connect; ``window`` opens PyBullet's, which needs a display."""
+        with no_greeting():
+            self._client: Any = BulletClient(pb.GUI if window else pb.DIRECT)
+            if window:
+                self._client.configureDebugVisualizer(pb.COV_ENABLE_GUI, 0)
+                self._client.configureDebugVisualizer(rgbBackground=(0, 0, 0))
+                self._client.configureDebugVisualizer(lightPosition=(6, -8, 9), shadowMapResolution=4096)
+        self._drawn: list[int] = []
+        self._words: list[int] = []
+        self._points = -1
+
+    def close(self) -> None:
+        """Disconnect; a second call does nothing."""
+        if self._client is not None and self._client.isConnected():
+            with no_greeting():
+                self._client.disconnect()
+        self._client = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is still a window to draw in."""
+        return self._client is not None and bool(self._client.isConnected())
+
+    def add_mesh(self, vertices: Array, normals: Array, faces: NDArray[np.int64], colour: tuple[float, ...]) -> int:
+        """Add triangles: corners (V, 3) [m], normals (V, 3), indices (F, 3), one colour."""
+        shape = self._client.createVisualShape(
+            pb.GEOM_MESH,
+            vertices=vertices.tolist(),
+            indices=faces.ravel().tolist(),
+            normals=normals.tolist(),
+            uvs=[(0.0, 0.0)] * len(vertices),
+            rgbaColor=(*colour, 1.0),
+            specularColor=(0, 0, 0),
+        )
+        return int(self._client.createMultiBody(0, -1, shape))
+
+    def add_robot(self, path: Path) -> tuple[int, dict[str, int], dict[int, tuple[float, ...]]]:
+        """Load a robot file; return its handle, the joints' indices by name and the links' colours by index."""
+        with no_greeting():
+            handle = int(self._client.loadURDF(str(path), useFixedBase=True))
+        rows = [self._client.getJointInfo(handle, i) for i in range(self._client.getNumJoints(handle))]
+        colours = {int(row[1]): tuple(row[7][:3]) for row in self._client.getVisualShapeData(handle)}
+        return handle, {row[1].decode(): row[0] for row in rows}, colours
+
+    def paint(self, handle: int, link: int, colour: tuple[float, ...]) -> None:
+        """Give one link (-1 is the base) another colour."""
+        self._client.changeVisualShape(handle, link, rgbaColor=(*colour, 1.0))
+
+    def remove(self, handle: int) -> None:
+        """Take a body away."""
+        self._client.removeBody(handle)
+
+    def clear(self) -> None:
+        """Take everything away; handles begin anew."""
+        self._client.resetSimulation()
+        self._drawn, self._words, self._points = [], [], -1
+
+    def place(self, handle: int, position: Array, quaternion: Array) -> None:
+        """Put a body somewhere."""
+        self._client.resetBasePositionAndOrientation(handle, position.tolist(), quaternion.tolist())
+
+    def turn_joints(self, handle: int, joints: list[int], angles: Array) -> None:
+        """Set joint angles [rad]."""
+        self._client.resetJointStatesMultiDof(handle, joints, [(a,) for a in angles.tolist()], [(0.0,)] * len(joints))
+
+    def look(
+        self, view: Array, projection: Array, size: tuple[int, int], sun: Array
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """What a camera sees by the software renderer, all (height, width).
+
+        Args:
+            view: World to camera (4, 4).
+            projection: Camera to clip coordinates (4, 4), with perspective: the renderer draws no other.
+            size: Width and height [px].
+            sun: Towards the light (3,).
+
+        Returns:
+            Cosine between surface and light (of what is white), depth in [0, 1], and the body seen with its link in
+            the upper bits, -1 for nothing.
+        """
+        width, height = size
+        _, _, colours, depth, bodies = self._client.getCameraImage(
+            width,
+            height,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            renderer=pb.ER_TINY_RENDERER,
+            flags=pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            shadow=0,
+            lightDirection=sun.tolist(),
+            lightAmbientCoeff=0.0,
+            lightDiffuseCoeff=1.0,
+            lightSpecularCoeff=0.0,
+        )
+        shade = (np.reshape(colours, (height, width, 4))[:, :, 0] / 255).astype(np.float32)
+        return shade, np.reshape(depth, (height, width)), np.reshape(bodies, (height, width))
+
+    def aim(self, target: Array, distance: float, yaw: float, pitch: float) -> None:
+        """Point the window's camera; angles [deg], distance [m]."""
+        self._client.resetDebugVisualizerCamera(distance, yaw, pitch, target.tolist())
+
+    def draw(
+        self,
+        lines: list[tuple[Array, Array, tuple[float, ...]]],
+        points: tuple[Array, Array],
+        words: list[str],
+        place: Array,
+    ) -> None:
+        """Draw into the window, instead of what the last call drew; every item costs the window a frame.
+
+        Args:
+            lines: Start (3,), end (3,) [m] and colour of each.
+            points: Places (n, 3) [m] and colours (n, 3).
+            words: Lines of text.
+            place: Where the first of them begins (3,) [m].
+        """
+        self._points = self._client.addUserDebugPoints(
+            points[0].tolist(), points[1].tolist(), 5.0, replaceItemUniqueId=self._points
+        )
+        drawn = self._drawn + [-1] * (len(lines) - len(self._drawn))
+        for index, (start, end, colour) in enumerate(lines):
+            drawn[index] = self._client.addUserDebugLine(
+                start.tolist(), end.tolist(), colour, 3.0, replaceItemUniqueId=drawn[index]
+            )
+        for item in drawn[len(lines) :]:
+            self._client.removeUserDebugItem(item)
+        self._drawn = drawn[: len(lines)]
+        below = np.array([0.0, 0.0, 0.09])
+        self._words += [-1] * (len(words) - len(self._words))
+        for index, line in enumerate(words):
+            self._words[index] = self._client.addUserDebugText(
+                line, (place - index * below).tolist(), (1, 1, 1), 1.1, replaceItemUniqueId=self._words[index]
+            )

@@ -1,0 +1,180 @@
+"""The ground as data: level and smooth, or a slope with the relief of hummocky regolith.
+
+The scene's frame stands on the ground: z is the normal of its mean plane. A slope is therefore a direction of gravity,
+not of the ground, and everything that lies on the ground keeps its coordinates; a picture is taken with its up against
+gravity and shows the slope.
+
+The relief is a field of mounds above the plane on which the body lies, each a convex cap. Solid convex pieces cost the
+simulation almost nothing and nothing passes through them, whereas Bullet's heightfields and meshes are thin skins that
+cost twice a plane and through which an arm that swings fast slips (measured, see ``docs/environment.md``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KINDS = ("smooth", "rough")
+MAX_SLOPE = 10.0  # deg
+ROUGH_SHARE = 0.5  # of the scenes, in every split
+RELIEF_HALF = (1.9, 1.6)  # m, half sides of the ground on which mounds lie, along and across the body
+#: The patch without mounds, which the body pressed flat as it fell: to head and feet, and to the front's and the back's
+#: side; who lies on a side has arms and knees before them [m].
+FLAT_ALONG = 1.2
+FLAT_ACROSS: dict[str, tuple[float, float]] = {"lying": (0.43, 0.43), "on_side": (0.60, 0.32)}
+MOUNDS = 16  # a relief; as many as PyBullet takes into one body
+MOUND_RADIUS = (0.25, 0.60)  # m; assumption: decimetre hummocks, the scale on which arms and body meet the ground
+MOUND_STEEPNESS = (0.05, 0.18)  # height over radius; flanks of up to twice that, about 20 deg
+MOUND_OVAL = (0.7, 1.0)  # ratio of the radii
+#: Mounds whose top is this near the body (along, across) are no higher than the last number: forearm and plate are one
+#: straight bar, and must come in over them at a slope at which the plate still passes under the body [m].
+NEAR = (0.9, 1.1, 0.07)
+RELIEFS = 16  # reliefs that scenes are drawn from; the simulation keeps their shapes
+HELDOUT_RELIEFS = range(1000, 1008)  # no training scene has these
+
+
+@dataclass(frozen=True)
+class Mound:
+    """One convex cap; its surface is ``height * (1 - rho^2)`` with rho the distance in units of the radii.
+
+    Attributes:
+        x: Centre in the relief's frame [m].
+        y: Centre in the relief's frame [m].
+        along: Radius along its own x axis [m].
+        across: Radius along its own y axis [m].
+        height: Of the top [m].
+        yaw: Heading of its x axis [rad].
+    """
+
+    x: float
+    y: float
+    along: float
+    across: float
+    height: float
+    yaw: float
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """The ground of one scene.
+
+    Attributes:
+        kind: ``"smooth"`` (level, no relief) or ``"rough"``.
+        slope: Between the ground's normal and the vertical [deg].
+        downhill: Heading of the steepest descent in the scene's frame [rad].
+        relief: Seed of the mounds, see ``mounds``.
+        patch: Key of ``FLAT_ACROSS``, the patch's shape.
+        x: Origin of the relief, where the body lies [m].
+        y: Origin of the relief [m].
+        yaw: Heading of the relief, along the body: its +y is the front's side of who lies on a side [rad].
+    """
+
+    kind: str = "smooth"
+    slope: float = 0.0
+    downhill: float = 0.0
+    relief: int = 0
+    patch: str = "lying"
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a terrain that is malformed or out of range, naming the field."""
+        if self.kind not in KINDS:
+            raise ValueError(f"Scene.terrain.kind: expected one of {KINDS}, got {self.kind!r}")
+        if not (math.isfinite(self.slope) and 0.0 <= self.slope <= MAX_SLOPE):
+            raise ValueError(f"Scene.terrain.slope: expected 0 to {MAX_SLOPE:g} deg, got {self.slope!r}")
+        if self.kind == "smooth" and self.slope != 0.0:
+            raise ValueError(f"Scene.terrain.slope: smooth ground is level, got {self.slope!r}")
+        if isinstance(self.relief, bool) or not isinstance(self.relief, int) or self.relief < 0:
+            raise ValueError(f"Scene.terrain.relief: expected an integer >= 0, got {self.relief!r}")
+        if self.patch not in FLAT_ACROSS:
+            raise ValueError(f"Scene.terrain.patch: expected one of {tuple(FLAT_ACROSS)}, got {self.patch!r}")
+        for name in ("downhill", "x", "y", "yaw"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and abs(value) <= 100.0):
+                raise ValueError(f"Scene.terrain.{name}: expected -100 to 100, got {value!r}")
+
+    @property
+    def rough(self) -> bool:
+        """Whether there is a relief."""
+        return self.kind == "rough"
+
+    def up(self) -> Array:
+        """Unit vector against gravity in the scene's frame, (3,)."""
+        s = math.radians(self.slope)
+        away = -math.sin(s)
+        return np.array([away * math.cos(self.downhill), away * math.sin(self.downhill), math.cos(s)])
+
+    def height(self, x: Array | float, y: Array | float) -> Array:
+        """Height of the ground over its mean plane's foot, at points of the scene's frame, same shape as x [m]."""
+        x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        highest = np.zeros(np.broadcast(x, y).shape)
+        if not self.rough:
+            return highest
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        local_x, local_y = c * (x - self.x) + s * (y - self.y), -s * (x - self.x) + c * (y - self.y)
+        centres, turns, inverse_radii, heights = _arrays(self.relief, self.patch)
+        dx, dy = local_x[..., None] - centres[:, 0], local_y[..., None] - centres[:, 1]
+        along = (turns[:, 0] * dx + turns[:, 1] * dy) * inverse_radii[:, 0]
+        across = (turns[:, 0] * dy - turns[:, 1] * dx) * inverse_radii[:, 1]
+        caps = heights * (1.0 - along * along - across * across)
+        return np.maximum(caps.max(axis=-1), 0.0)
+
+
+SMOOTH = Terrain()
+
+
+@lru_cache(maxsize=64)
+def mounds(relief: int, patch: str) -> tuple[Mound, ...]:
+    """The mounds of a relief, a pure function of seed and patch; none reaches into the flat patch."""
+    rng = np.random.default_rng([relief, 1622])
+    front, back = FLAT_ACROSS[patch]
+    chosen: list[Mound] = []
+    while len(chosen) < MOUNDS:
+        along = float(rng.uniform(*MOUND_RADIUS))
+        across = along * float(rng.uniform(*MOUND_OVAL))
+        height = along * float(rng.uniform(*MOUND_STEEPNESS))
+        x, y = (float(rng.uniform(-half, half)) for half in RELIEF_HALF)
+        yaw = float(rng.uniform(0, np.pi))
+        c, s = math.cos(yaw), math.sin(yaw)
+        reach_x, reach_y = math.hypot(along * c, across * s), math.hypot(along * s, across * c)
+        if abs(x) < NEAR[0] and abs(y) < NEAR[1]:
+            height = min(height, NEAR[2])
+        if abs(x) > FLAT_ALONG + reach_x or y > front + reach_y or y < -back - reach_y:
+            chosen.append(Mound(x, y, along, across, height, yaw))
+    return tuple(chosen)
+
+
+@lru_cache(maxsize=64)
+def _arrays(relief: int, patch: str) -> tuple[Array, Array, Array, Array]:
+    field = mounds(relief, patch)
+    centres = np.array([[m.x, m.y] for m in field])
+    turns = np.array([[math.cos(m.yaw), math.sin(m.yaw)] for m in field])
+    inverse_radii = 1.0 / np.array([[m.along, m.across] for m in field])
+    return centres, turns, inverse_radii, np.array([m.height for m in field])
+
+
+def draw_terrain(rng: np.random.Generator, pose: tuple[float, float, float], front: int, heldout: bool) -> Terrain:
+    """Draw the ground under a body.
+
+    Args:
+        rng: Source of chance.
+        pose: Where the body lies, x, y [m], yaw [rad].
+        front: Side that the front of who lies on a side looks to, +1 or -1 (+1 is +y with the head along +x), else 0.
+        heldout: Whether for the held-out split.
+    """
+    rough, flip = bool(rng.uniform() < ROUGH_SHARE), int(rng.integers(2))
+    slope, downhill = float(rng.uniform(0, MAX_SLOPE)), float(rng.uniform(0, 2 * math.pi))
+    relief = int(rng.integers(HELDOUT_RELIEFS.start, HELDOUT_RELIEFS.stop) if heldout else rng.integers(RELIEFS))
+    if not rough:
+        return SMOOTH
+    turned = (front < 0) if front else bool(flip)
+    patch = "on_side" if front else "lying"
+    return Terrain("rough", slope, downhill, relief, patch, pose[0], pose[1], pose[2] + math.pi * turned)
