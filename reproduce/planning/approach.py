@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv
-from lunar_rescue.robot import ARMS, JOINTS, WAIST, Arm, Robot
+from lunar_rescue.robot import ARMS, WAIST, Arm
 from reproduce.planning.batch_ik import plate_tips, solve_arms
-from reproduce.planning.collision import CollisionChecker
+from reproduce.planning.collision import BODY_TOUCH, CollisionChecker
 from reproduce.planning.rrt import connect, length, line_is_free, path_is_free, shortcut
 
 Array = NDArray[np.float64]
@@ -23,9 +24,13 @@ Array = NDArray[np.float64]
 REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
-TUCKED = np.radians([-60.0, 8.0, 0.0, 140.0, 0.0])  # rad, where an arm stays while the other one is tried
 SLIDE_STEPS = 5  # places along the slide, the goal included
-ITERATIONS = 1500  # draws of RRT-Connect for one way
+ITERATIONS = 600  # draws of RRT-Connect for one way
+SLIDES = 4  # for which a way is sought, of one stance
+#: How far into the resting body a way may lead [m], tried one after the other: a suit lying close to the ground gives
+#: way to a plate, which only trying out can tell.
+BODY_TOUCHES = (BODY_TOUCH, 0.02, 0.04, 0.07)
+BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
 CHECKS = 60_000  # collision checks for one scene, about 3 s
 LONGEST = 6.5  # rad, a longer way leaves no time for the second process
 
@@ -62,7 +67,7 @@ class Goal:
     turn: float = 0.0
 
 
-STANCES = (Stance(40, 64), Stance(28, 64), Stance(50, 70), Stance(16, 50), Stance(34, 30), Stance(4, 40))
+STANCES = (Stance(40, 64), Stance(28, 64), Stance(50, 70), Stance(16, 50), Stance(34, 30), Stance(4, 40), Stance(58, 76))
 #: From the likeliest on; none misses the target by more than its radius.
 GOALS = (
     Goal(),
@@ -75,6 +80,8 @@ GOALS = (
     Goal(turn=12),
     Goal(turn=-12),
     Goal(ahead=-0.05, slope=8, up=0.01),
+    Goal(ahead=-0.06, up=0.03, slope=-18),
+    Goal(ahead=-0.08, up=0.04, slope=-26),
     Goal(aside=0.05, turn=15),
     Goal(aside=-0.05, turn=-15),
     Goal(ahead=-0.07, up=-0.01),
@@ -82,6 +89,8 @@ GOALS = (
     Goal(aside=-0.06, ahead=-0.04),
     Goal(aside=0.04, turn=25),
     Goal(aside=-0.04, turn=-25),
+    Goal(ahead=-0.06, aside=0.05, up=0.03, slope=-20),
+    Goal(ahead=-0.06, aside=-0.05, up=0.03, slope=-20),
 )
 
 
@@ -104,7 +113,6 @@ class ApproachPlanner:
     def __init__(self, checker: CollisionChecker, env: LunarRescueEnv, rng: np.random.Generator) -> None:
         """Plan for the episode that has just begun in ``env``, whose scene the checker has too."""
         self._checker, self._rng = checker, rng
-        self._robot: Robot = env.robot
         self._start = env.episode.robot.angles.copy()
         window = env.robot.initial - env.robot.window, env.robot.initial + env.robot.window
         self._lower = np.maximum(env.robot.lower, window[0]) + 1e-4
@@ -117,16 +125,15 @@ class ApproachPlanner:
     def ways(self) -> Iterator[Way]:
         """Ways that are free of collision."""
         end_of_checks = self._checker.checks + CHECKS
-        for stance in STANCES:
-            slides = [self._slide(arm, target, stance) for arm, target in zip(ARMS, self.targets, strict=True)]
-            for first, second in _pairs(*slides):
-                if self._checker.checks > end_of_checks:
-                    return
-                joined = self._join(first, second, stance)
-                way = None if joined is None else self._reach(joined)
-                if way is not None and length(way.path) <= LONGEST:
-                    yield way
-                    break
+        for touch in BODY_TOUCHES:
+            for stance in STANCES:
+                for slide in islice(self._slides(stance, touch), SLIDES):
+                    if self._checker.checks > end_of_checks:
+                        return
+                    way = self._reach(slide)
+                    if way is not None and length(way.path) <= LONGEST:
+                        yield way
+                        break
 
     # -- slides ------------------------------------------------------------------------------------------------------
     def _waists(self, stance: Stance) -> Array:
@@ -139,17 +146,21 @@ class ApproachPlanner:
         """How far before its goal a plate is at each place of the slide (SLIDE_STEPS,) [m]."""
         return np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
 
-    def _slide(self, arm: Arm, target: Array, stance: Stance) -> list[Array]:
-        """Ways of one arm from above the entry to the goal, (SLIDE_STEPS + 1, 5) each, free ones only."""
-        waists = self._waists(stance)
-        ways, misses = self._solve(arm, target, waists)
-        found = []
-        for angles, miss in zip(ways, misses, strict=True):
-            if miss < REACHED and self._slide_is_free(arm, angles, waists):
-                found.append(angles)
-                if len(found) == 2:
-                    break
-        return found
+    def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
+        """Ways of both arms to goals, free ones only: whole, with a hover above the entry first, or their last part."""
+        free, waists = self._checker.free, self._waists(stance)
+        solved = [self._solve(arm, target, waists) for arm, target in zip(ARMS, self.targets, strict=True)]
+        good = [np.flatnonzero(misses < REACHED) for _, misses in solved]
+        # A pair of goals is as likely as its less likely one; its end is checked first, where most pairs fail.
+        pairs = sorted(((i, j) for i in good[0] for j in good[1]), key=lambda p: (max(p), sum(p)))
+        for i, j in pairs:
+            path = np.column_stack([solved[0][0][i], solved[1][0][j], waists])
+            self._checker.body_touch = touch
+            begin = next((k for k in BEGINS if all(map(free, path[: k - 1 : -1])) and path_is_free(path[k:], free)), 0)
+            # What comes before is in the open, where nothing needs to be touched.
+            self._checker.body_touch = BODY_TOUCH
+            if begin and free(path[begin]):
+                yield path if begin == 1 else path[begin:]
 
     def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
         """Ways to all goals (n, SLIDE_STEPS + 1, 5) [rad] and how far they miss them (n,) [m]."""
@@ -178,34 +189,16 @@ class ApproachPlanner:
             angles, misses = solve_arms(higher, slopes, waists, arm.side, angles, *bounds)
         return angles, misses
 
-    def _slide_is_free(self, arm: Arm, angles: Array, waists: Array) -> bool:
-        """Whether one arm can slide in while the other stays where it was."""
-        path = np.tile(TUCKED, (len(angles), 3))[:, :JOINTS]
-        path[:, arm.joints] = angles
-        path[:, WAIST] = waists
-        return path_is_free(path[1:], self._checker.free) and self._checker.free(path[1])
-
-    def _join(self, first: Array, second: Array, stance: Stance) -> Array | None:
-        path = np.empty((len(first), JOINTS))
-        path[:, ARMS[0].joints], path[:, ARMS[1].joints] = first, second
-        path[:, WAIST] = self._waists(stance)
-        return path if path_is_free(path[1:], self._checker.free) else None
-
     # -- the way to where the slide begins ---------------------------------------------------------------------------
     def _reach(self, slide: Array) -> Way | None:
         """Complete a slide by a way from the start to its beginning."""
         free = self._checker.free
-        hover, entry = slide[0], slide[1]
-        if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, entry, free):
-            return Way(np.concatenate([self._start[None], slide]), "straight")
-        way = connect(self._start, entry, free, self._lower, self._upper, self._rng, iterations=ITERATIONS)
+        rest = slide
+        if len(slide) == SLIDE_STEPS + 1:
+            hover, rest = slide[0], slide[1:]
+            if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, rest[0], free):
+                return Way(np.concatenate([self._start[None], slide]), "straight")
+        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=ITERATIONS)
         if way is None:
             return None
-        way = shortcut(way, free, self._rng)
-        return Way(np.concatenate([way, slide[2:]]), "rrt")
-
-
-def _pairs(first: list[Array], second: list[Array]) -> Iterator[tuple[Array, Array]]:
-    for a in first:
-        for b in second:
-            yield a, b
+        return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")

@@ -16,17 +16,21 @@ GROUND_TOUCH = 0.010  # m, plates skim over loose regolith
 
 
 class CollisionChecker:
-    """Robot, astronaut, ground and rocks of one scene, placed as at the start of an episode."""
+    """Robot, astronaut, ground and rocks of one scene, placed as at the start of an episode.
+
+    Attributes:
+        body_touch: How deep robot and resting astronaut may overlap [m].
+        checks: Configurations checked so far.
+    """
 
     def __init__(self, env: LunarRescueEnv | None = None) -> None:
         """Build on an environment of its own, or on one that nobody steps."""
         self._env = env or LunarRescueEnv()
-        robot = self._env.robot
-        by_name = {row[1]: row[0] for row in self._env.simulation.joint_table(robot.handle)}
-        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
-        self._joints = [by_name[name] for name in names]
+        self._joints: list[int] = []
         self._rocks: list[int] = []
+        self._grounds: list[int] = []
         self._astronaut = -1
+        self.body_touch = BODY_TOUCH
         self.checks = 0
 
     def set_scene(self, scene: Scene, margin: float = ROCK_MARGIN) -> None:
@@ -36,6 +40,12 @@ class CollisionChecker:
         self._astronaut = episode.astronaut.handle
         larger = [simulation.add_hull(_grow(vertices, margin)) for vertices in _hulls(self._env)] if margin else []
         self._rocks = [*episode.rocks, *larger]
+        # An environment may load a new robot at a reset.
+        by_name = {row[1]: row[0] for row in simulation.joint_table(self._env.robot.handle)}
+        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        self._joints = [by_name[name] for name in names]
+        relief = getattr(simulation, "relief", None)
+        self._grounds = [simulation.ground] + ([] if relief is None else [relief])
 
     def close(self) -> None:
         """Disconnect."""
@@ -47,11 +57,11 @@ class CollisionChecker:
         robot, simulation = self._env.robot.handle, self._env.simulation
         simulation.reset_joints(robot, self._joints, angles)
         # The first question also detects the contacts that the later ones read.
-        if simulation.penetration(robot, self._astronaut) > BODY_TOUCH:
+        if simulation.penetration(robot, self._astronaut) > self.body_touch:
             return False
         if any(simulation.touching(robot, other) for other in (*self._rocks, robot)):
             return False
-        return simulation.penetration(robot, simulation.ground) <= GROUND_TOUCH
+        return all(simulation.penetration(robot, ground) <= GROUND_TOUCH for ground in self._grounds)
 
 
 def _hulls(env: LunarRescueEnv) -> list[Array]:

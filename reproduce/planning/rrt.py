@@ -6,6 +6,7 @@ Distances are the largest change of any joint: all joints have the same speed li
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ def line_is_free(start: Array, end: Array, free: Free, resolution: float = RESOL
 
 def path_is_free(path: Array, free: Free, resolution: float = RESOLUTION) -> bool:
     """Whether a path (m, n) is free, its first configuration left out."""
-    return all(line_is_free(a, b, free, resolution) for a, b in zip(path[:-1], path[1:], strict=True))
+    return all(line_is_free(a, b, free, resolution) for a, b in pairwise(path))
 
 
 def length(path: Array) -> float:
@@ -36,7 +37,7 @@ def length(path: Array) -> float:
 def resample(path: Array, spacing: float) -> Array:
     """Points (k, n) along a path, no further apart than ``spacing`` [rad], corners kept."""
     points = [path[:1]]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / spacing)))
         points.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(points)
@@ -74,15 +75,32 @@ class _Tree:
 
 
 def _extend(tree: _Tree, towards: Array, free: Free, step: float, resolution: float) -> tuple[int, bool]:
-    """Grow by one branch; return the newest configuration (-1 when blocked) and whether it is ``towards``."""
+    """Grow by one branch as far as it is free; return its end (-1 when blocked) and whether that is ``towards``."""
     near = tree.nearest(towards)
     start = tree.point(near)
     way = towards - start
-    distance = np.abs(way).max()
-    end = towards if distance <= step else start + way * (step / distance)
-    if not line_is_free(start, end, free, resolution):
+    distance = float(np.abs(way).max())
+    part = min(1.0, step / max(distance, 1e-12))
+    count = max(1, int(np.ceil(distance * part / resolution)))
+    reached = 0
+    while reached < count and free(start + way * (part * (reached + 1) / count)):
+        reached += 1
+    if reached == 0:
         return -1, False
-    return tree.add(end, near), bool(distance <= step)
+    met = reached == count and part == 1.0
+    return tree.add(towards if met else start + way * (part * reached / count), near), met
+
+
+def _greedily(tree: _Tree, target: Array, free: Free, step: float, resolution: float) -> tuple[int, bool]:
+    """Grow towards a target until it is met or nothing is gained."""
+    grown, met, gap = 0, False, np.inf
+    while not met:
+        grown, met = _extend(tree, target, free, step, resolution)
+        left = float(np.abs(tree.point(grown) - target).max()) if grown >= 0 else np.inf
+        if left >= gap - 1e-9 and not met:
+            return -1, False
+        gap = left
+    return grown, met
 
 
 def connect(
@@ -122,9 +140,7 @@ def connect(
     for _ in range(iterations):
         new, _ = _extend(first, rng.uniform(lower, upper), free, step, resolution)
         if new >= 0:
-            target, met, grown = first.point(new), False, 0
-            while grown >= 0 and not met:
-                grown, met = _extend(second, target, free, step, resolution)
+            grown, met = _greedily(second, first.point(new), free, step, resolution)
             if met:
                 ways = first.branch(new), second.branch(grown)
                 here, there = ways if forward else ways[::-1]
