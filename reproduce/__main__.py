@@ -168,6 +168,19 @@ def soak(
 
 
 @app.command()
+def solvable(
+    tests: Annotated[int, typer.Option(help="number of scenes")] = 500,
+    first_seed: Annotated[int, typer.Option(help="seed of the first scene; test scenes begin at 0")] = 0,
+    variants: Annotated[int, typer.Option(help="most lifts or turns tried out for a scene")] = 40,
+    json: JsonFile = None,
+) -> None:
+    """Measure which scenes can be solved at all, by a planner that knows everything; writes results/solvability/."""
+    from reproduce.solvability import measure_solvability, print_solvability
+
+    print_solvability(measure_solvability(tests, first_seed, variants=variants, json=json), typer.echo)
+
+
+@app.command()
 def methods() -> None:
     """List the methods of the registry."""
     from reproduce.registry import METHODS

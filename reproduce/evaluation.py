@@ -40,6 +40,8 @@ def find_policy(where: str | Path) -> tuple[Method, Policy]:
 def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
     """One rescue; return how it ended."""
     observation, info = env.reset_flat(options={"scene": scene})
+    if hasattr(policy, "prepare"):  # the planner knows the scene
+        policy.prepare(scene)
     start, total, done = np.array([True]), 0.0, False
     while not done:
         action = policy.act(observation[None], start)[0]

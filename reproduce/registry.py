@@ -16,6 +16,7 @@ from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE
 from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.baselines import RandomPolicy
 from reproduce.methods.hrl_dcs import HierarchicalTraining
+from reproduce.methods.planner import PlannerPolicy
 from reproduce.methods.ppo_lstm import FlatTraining
 from reproduce.methods.scripted import ScriptedPolicy
 from reproduce.policy import Policy
@@ -105,6 +106,12 @@ METHODS: dict[str, Method] = {
             "Script with IK",
             "inverse kinematics and way-points, no learning",
             lambda _: ScriptedPolicy(),
+        ),
+        Method(
+            "planner",
+            "Planner, knows all",
+            "knows the scene and tries plans out in a copy of the simulator before it acts, no learning",
+            lambda _: PlannerPolicy(),
         ),
         Method("random", "Random actions", "uniform actions, the floor of every comparison", RandomPolicy),
         Method(

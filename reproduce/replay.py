@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lunar_rescue import LunarRescueEnv, sample_scene
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.overlay import draw_overlay
 from lunar_rescue.rendering import SIZE, Picture, Studio, scene_camera
 from reproduce.errors import UserError
@@ -37,6 +37,11 @@ class WatchedPolicy:
             see: Called with the policy's sub-goals in the base frame (2, 3) [m], or None where it has none.
         """
         self._policy, self._see = policy, see
+
+    def prepare(self, scene: Scene) -> None:
+        """Tell the other policy the scene, if it wants to know."""
+        if hasattr(self._policy, "prepare"):
+            self._policy.prepare(scene)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """See ``Policy.act``."""

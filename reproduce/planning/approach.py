@@ -67,7 +67,15 @@ class Goal:
     turn: float = 0.0
 
 
-STANCES = (Stance(40, 64), Stance(28, 64), Stance(50, 70), Stance(16, 50), Stance(34, 30), Stance(4, 40), Stance(58, 76))
+STANCES = (
+    Stance(40, 64),
+    Stance(28, 64),
+    Stance(50, 70),
+    Stance(16, 50),
+    Stance(34, 30),
+    Stance(4, 40),
+    Stance(58, 76),
+)
 #: From the likeliest on; none misses the target by more than its radius.
 GOALS = (
     Goal(),
