@@ -89,13 +89,30 @@ def replay(
     seed: Annotated[int, typer.Option(help="seed of the scene")] = 0,
     posture: Annotated[str | None, typer.Option(help="draw the scene with this posture")] = None,
     task: Annotated[str | None, typer.Option(help="draw the scene with this task")] = None,
+    overlay: Annotated[bool, typer.Option(help="draw targets, sub-goals, mark points and distances")] = True,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
     """Show one rescue as a film or a strip of pictures."""
+    from reproduce.replay import parse_size
     from reproduce.replay import replay as show
 
-    row = show(run, seed, out, posture=posture, task=task)
+    row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
     ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
     typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
+
+
+@app.command()
+def watch(
+    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
+    seed: Annotated[int, typer.Option(help="seed of the first scene")] = 0,
+    rescues: Annotated[int, typer.Option(help="how many to show; 0 goes on until the window is closed")] = 0,
+    posture: Annotated[str | None, typer.Option(help="draw scenes with this posture")] = None,
+    task: Annotated[str | None, typer.Option(help="draw scenes with this task")] = None,
+) -> None:
+    """Watch rescues in PyBullet's window, in real time; needs a display."""
+    from reproduce.watch import watch as show
+
+    show(run, seed, rescues, posture=posture, task=task, tell=typer.echo)
 
 
 @app.command()

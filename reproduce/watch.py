@@ -18,6 +18,7 @@ from reproduce.evaluation import find_policy, run_episode
 from reproduce.replay import WatchedPolicy, ending
 
 PAUSE = 2.0  # s, after each rescue
+LAG = 0.5  # s, that a slow picture may be made up for by quicker ones after it
 
 
 class _ClosedError(Exception):
@@ -33,6 +34,8 @@ def watch(
     tell: Callable[[str], None] = print,
 ) -> None:
     """Play rescues one after another, from the scene of ``seed`` on, until the window is closed.
+
+    Closing the window ends the whole program: PyBullet's window knows no other way.
 
     Args:
         where: Run folder, or a method that does not learn by its name.
@@ -70,12 +73,12 @@ def watch(
 
 
 def _show_in_time(env: LunarRescueEnv, window: Window) -> Callable[[NDArray[Any] | None], None]:
-    """A function that shows the episode no sooner than ``CONTROL_STEP`` after it was last called."""
+    """A function that shows the episode, once a ``CONTROL_STEP`` on average."""
     due = [0.0]
 
     def show(subgoals: NDArray[Any] | None) -> None:
         time.sleep(max(0.0, due[0] - time.monotonic()))
-        due[0] = time.monotonic() + CONTROL_STEP
+        due[0] = max(due[0], time.monotonic() - LAG) + CONTROL_STEP
         if not window.is_open:
             raise _ClosedError
         window.show(env.episode, subgoals)

@@ -205,7 +205,7 @@ class Studio:
         fine, sun = self._fine_camera(camera), sun_camera(camera)
         self._bare.clear()
         mesh = ground_mesh(scene, camera)
-        self._bare.add_mesh(mesh.vertices, mesh.normals, mesh.faces, WHITE)
+        self._bare.add_mesh((mesh.vertices, mesh.normals, mesh.faces, WHITE))
         _, depth, seen = _look(self._bare, fine, sun)
         _, sun_depth, _ = _look(self._bare, sun, sun)
         rays = fine.rays()
@@ -304,14 +304,13 @@ class StageSet:
             self._scene = episode.scene
             for handle in self._stones:
                 self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
-        origin, axes = base_frame(episode)
-        self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
+            origin, axes = base_frame(episode)
+            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
         self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
         rotation = turn @ episode.body.rotation
         centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
         quaternion = Rotation.from_matrix(rotation).as_quat()
-        for handle in self._suit:
-            self.stage.place(handle, centre, quaternion)
+        self.stage.place(self._suit, centre, quaternion)
         return new
 
     def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
@@ -319,21 +318,22 @@ class StageSet:
         self._robot, joints, links = self.stage.add_robot(self._robot_file)
         names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
         self._joints = [joints[name] for name in names]
-        suit, rocks = shapes.suit_shapes(scene.model.limbs), [shapes.hull(rock.vertices()) for rock in scene.rocks]
-        self._suit = [self._add(mesh, colour or own) for mesh, own in suit]
-        self._stones = stones = [self._add(mesh, colour or shapes.BASALT) for mesh in rocks]
-        self.colours = np.ones((max([self._robot, *self._suit, *stones]) + 2, len(joints) + 2, 3), np.float32)
+        suit = shapes.suit_shapes(scene.model.limbs)
+        self._suit = self._add(suit, colour)
+        self._stones = stones = [
+            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
+        ]
+        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
         for link, own in links.items():
             self.colours[self._robot, link + 1] = own
             self.stage.paint(self._robot, link, colour or own)
-        for handle, (_, own) in zip(self._suit, suit, strict=True):
-            self.colours[handle] = own
+        self.colours[self._suit, : len(suit)] = list(suit)
         self.colours[stones] = shapes.BASALT
         self.colours **= GAMMA
         self.rocky = np.isin(np.arange(len(self.colours)), stones)
 
-    def _add(self, mesh: shapes.Mesh, colour: tuple[float, float, float]) -> int:
-        return self.stage.add_mesh(mesh.vertices, mesh.normals, mesh.faces, colour)
+    def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
+        return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
 
 
 def sun_camera(camera: Camera) -> Camera:

@@ -107,14 +107,23 @@ def ground(
 
 
 # -- suit ------------------------------------------------------------------------------------------------------------
-def suit_shapes(limbs: Limbs) -> list[tuple[Mesh, Colour]]:
-    """The suit's parts in the body frame with their colours; their outlines are those of the colliding parts."""
-    shapes = []
+def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
+    """The suit in the body frame, what has one colour in one mesh; its outlines are those of the colliding parts."""
+    shapes: dict[Colour, list[Mesh]] = {}
     for part in suit_parts(limbs):
-        shapes.append((_placed(part, _mesh(part)), SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)))
-        for mesh, colour in _details(part):
-            shapes.append((_placed(part, mesh), colour))
-    return shapes
+        own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
+        for mesh, colour in [(_mesh(part), own), *_details(part)]:
+            shapes.setdefault(colour, []).append(_placed(part, mesh))
+    return {colour: _joined(meshes) for colour, meshes in shapes.items()}
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+    )
 
 
 def _mesh(part: Part) -> Mesh:

@@ -339,18 +339,40 @@ class Stage:
         """Whether there is still a window to draw in."""
         return self._client is not None and bool(self._client.isConnected())
 
-    def add_mesh(self, vertices: Array, normals: Array, faces: NDArray[np.int64], colour: tuple[float, ...]) -> int:
-        """Add triangles: corners (V, 3) [m], normals (V, 3), indices (F, 3), one colour."""
-        shape = self._client.createVisualShape(
-            pb.GEOM_MESH,
-            vertices=vertices.tolist(),
-            indices=faces.ravel().tolist(),
-            normals=normals.tolist(),
-            uvs=[(0.0, 0.0)] * len(vertices),
-            rgbaColor=(*colour, 1.0),
-            specularColor=(0, 0, 0),
+    def add_mesh(self, *pieces: tuple[Array, Array, NDArray[np.int64], tuple[float, ...]]) -> int:
+        """Add one body of triangles; each piece has corners (V, 3) [m], normals (V, 3), indices (F, 3) and a colour.
+
+        The first piece is the body's base, each other one a link of it.
+        """
+        first, *rest = [
+            self._client.createVisualShape(
+                pb.GEOM_MESH,
+                vertices=vertices.tolist(),
+                indices=faces.ravel().tolist(),
+                normals=normals.tolist(),
+                uvs=[(0.0, 0.0)] * len(vertices),
+                rgbaColor=(*colour, 1.0),
+                specularColor=(0, 0, 0),
+            )
+            for vertices, normals, faces, colour in pieces
+        ]
+        nowhere, level = [(0.0, 0.0, 0.0)] * len(rest), [(0.0, 0.0, 0.0, 1.0)] * len(rest)
+        body = self._client.createMultiBody(
+            0,
+            -1,
+            first,
+            linkMasses=[0.0] * len(rest),
+            linkCollisionShapeIndices=[-1] * len(rest),
+            linkVisualShapeIndices=rest,
+            linkPositions=nowhere,
+            linkOrientations=level,
+            linkInertialFramePositions=nowhere,
+            linkInertialFrameOrientations=level,
+            linkParentIndices=[0] * len(rest),
+            linkJointTypes=[pb.JOINT_FIXED] * len(rest),
+            linkJointAxis=[(0.0, 0.0, 1.0)] * len(rest),
         )
-        return int(self._client.createMultiBody(0, -1, shape))
+        return int(body)
 
     def add_robot(self, path: Path) -> tuple[int, dict[str, int], dict[int, tuple[float, ...]]]:
         """Load a robot file; return its handle, the joints' indices by name and the links' colours by index."""

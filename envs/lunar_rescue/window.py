@@ -79,7 +79,7 @@ class Window:
         middle = turn @ np.array(camera.target)
         if self._set.show(episode, upright=turn):
             mesh = ground_mesh(episode.scene, camera)
-            stage.add_mesh(mesh.vertices @ turn.T, mesh.normals @ turn.T, mesh.faces, regolith.GREY)
+            stage.add_mesh((mesh.vertices @ turn.T, mesh.normals @ turn.T, mesh.faces, regolith.GREY))
             stage.aim(middle, CLOSER * camera.distance, camera.yaw, camera.pitch)
         if episode.steps % DRAW_EVERY and not note:
             return
