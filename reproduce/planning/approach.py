@@ -25,14 +25,26 @@ REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
 SLIDE_STEPS = 5  # places along the slide, the goal included
-ITERATIONS = 600  # draws of RRT-Connect for one way
-SLIDES = 4  # for which a way is sought, of one stance
-#: How far into the resting body a way may lead [m], tried one after the other: a suit lying close to the ground gives
-#: way to a plate, which only trying out can tell.
-BODY_TOUCHES = (BODY_TOUCH, 0.02, 0.04, 0.07)
 BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
-CHECKS = 60_000  # collision checks for one scene, about 3 s
+OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
+CHECKS = 120_000  # collision checks for one scene, about 6 s; most need 500
 LONGEST = 6.5  # rad, a longer way leaves no time for the second process
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to look for a way.
+
+    Attributes:
+        touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
+            to the ground gives way to a plate, which only trying out can tell.
+        draws: Of RRT-Connect for one way; without any only straight lines are tried.
+        slides: For which a way is sought, of one stance.
+    """
+
+    touches: tuple[float, ...]
+    draws: int
+    slides: int
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,12 @@ class Goal:
     turn: float = 0.0
 
 
+#: One after the other: most scenes have a way in straight lines, a few need much.
+EFFORTS = (
+    Effort((BODY_TOUCH, 0.02), 0, 6),
+    Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 600, 4),
+    Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 4000, 12),
+)
 STANCES = (
     Stance(40, 64),
     Stance(28, 64),
@@ -89,7 +107,7 @@ GOALS = (
     Goal(turn=-12),
     Goal(ahead=-0.05, slope=8, up=0.01),
     Goal(ahead=-0.06, up=0.03, slope=-18),
-    Goal(ahead=-0.08, up=0.04, slope=-26),
+    Goal(ahead=-0.06, up=0.04, slope=-26),
     Goal(aside=0.05, turn=15),
     Goal(aside=-0.05, turn=-15),
     Goal(ahead=-0.07, up=-0.01),
@@ -97,8 +115,8 @@ GOALS = (
     Goal(aside=-0.06, ahead=-0.04),
     Goal(aside=0.04, turn=25),
     Goal(aside=-0.04, turn=-25),
-    Goal(ahead=-0.06, aside=0.05, up=0.03, slope=-20),
-    Goal(ahead=-0.06, aside=-0.05, up=0.03, slope=-20),
+    Goal(ahead=-0.04, aside=0.05, up=0.03, slope=-20),
+    Goal(ahead=-0.04, aside=-0.05, up=0.03, slope=-20),
 )
 
 
@@ -129,19 +147,20 @@ class ApproachPlanner:
         self.targets = to_base(env.episode.targets())
         ways_in = to_base(env.episode.entries()) - self.targets
         self._lengths = np.linalg.norm(ways_in, axis=1)
+        self._solved: dict[Stance, list[tuple[Array, Array]]] = {}
 
     def ways(self) -> Iterator[Way]:
         """Ways that are free of collision."""
         end_of_checks = self._checker.checks + CHECKS
-        for touch in BODY_TOUCHES:
-            for stance in STANCES:
-                for slide in islice(self._slides(stance, touch), SLIDES):
-                    if self._checker.checks > end_of_checks:
-                        return
-                    way = self._reach(slide)
-                    if way is not None and length(way.path) <= LONGEST:
-                        yield way
-                        break
+        tasks = ((effort, touch, stance) for effort in EFFORTS for touch in effort.touches for stance in STANCES)
+        for effort, touch, stance in tasks:
+            for slide in islice(self._slides(stance, touch), effort.slides):
+                if self._checker.checks > end_of_checks:
+                    return
+                way = self._reach(slide, effort.draws)
+                if way is not None and length(way.path) <= LONGEST:
+                    yield way
+                    break
 
     # -- slides ------------------------------------------------------------------------------------------------------
     def _waists(self, stance: Stance) -> Array:
@@ -157,7 +176,11 @@ class ApproachPlanner:
     def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
         """Ways of both arms to goals, free ones only: whole, with a hover above the entry first, or their last part."""
         free, waists = self._checker.free, self._waists(stance)
-        solved = [self._solve(arm, target, waists) for arm, target in zip(ARMS, self.targets, strict=True)]
+        if stance not in self._solved:
+            self._solved[stance] = [
+                self._solve(a, target, waists) for a, target in zip(ARMS, self.targets, strict=True)
+            ]
+        solved = self._solved[stance]
         good = [np.flatnonzero(misses < REACHED) for _, misses in solved]
         # A pair of goals is as likely as its less likely one; its end is checked first, where most pairs fail.
         pairs = sorted(((i, j) for i in good[0] for j in good[1]), key=lambda p: (max(p), sum(p)))
@@ -166,7 +189,7 @@ class ApproachPlanner:
             self._checker.body_touch = touch
             begin = next((k for k in BEGINS if all(map(free, path[: k - 1 : -1])) and path_is_free(path[k:], free)), 0)
             # What comes before is in the open, where nothing needs to be touched.
-            self._checker.body_touch = BODY_TOUCH
+            self._checker.body_touch = OPEN_TOUCH
             if begin and free(path[begin]):
                 yield path if begin == 1 else path[begin:]
 
@@ -198,7 +221,7 @@ class ApproachPlanner:
         return angles, misses
 
     # -- the way to where the slide begins ---------------------------------------------------------------------------
-    def _reach(self, slide: Array) -> Way | None:
+    def _reach(self, slide: Array, draws: int) -> Way | None:
         """Complete a slide by a way from the start to its beginning."""
         free = self._checker.free
         rest = slide
@@ -206,7 +229,9 @@ class ApproachPlanner:
             hover, rest = slide[0], slide[1:]
             if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, rest[0], free):
                 return Way(np.concatenate([self._start[None], slide]), "straight")
-        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=ITERATIONS)
+        if not draws:
+            return None
+        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=draws)
         if way is None:
             return None
         return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")
