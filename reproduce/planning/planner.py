@@ -32,7 +32,7 @@ class Plan:
         rescued: Whether the rescue succeeded when it was tried out.
         first_under: Whether the first way that the collision check let pass did, without another look.
         first_rescued: Whether the first way with the first variant succeeded.
-        way: How the way was found: ``"straight"``, ``"rrt"`` or ``"none"``.
+        way: How the way under the body was found: ``"straight"``, ``"rrt"`` or ``"none"``.
         ways_tried: Ways tried out.
         variants_tried: Lifts or turns tried out.
         variant: Which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene.
@@ -93,27 +93,27 @@ class RescuePlanner:
         rollout = Rollout(self._env, scene)
         search = _Search(approach, rollout, self._approaches)
         first = search.next_under()
-        best, tried, right = first, 0, -1
+        best, way, tried, right = search.furthest(), "none", 0, -1
         if first is not None:
             under = [first]
+            (best, way) = first
             for index, variant in enumerate(islice(_variants(scene), self._variants)):
                 if index and index % OTHER_WAY_AFTER == 0:
                     under += filter(None, [search.next_under()])
                 # The first way first; when the likeliest variants have failed on it, each way in turn.
-                begin = under[(index // OTHER_WAY_AFTER) % len(under)]
+                begin, found = under[(index // OTHER_WAY_AFTER) % len(under)]
                 trial = rollout.rescue(begin, variant, approach.targets)
                 tried += 1
                 if trial.rescued:
-                    best, right = trial, index
+                    best, way, right = trial, found, index
                     break
-        best = best or search.furthest()
         return Plan(
             actions=best.actions,
             under=best.under is not None,
             rescued=best.rescued,
             first_under=search.first_under,
             first_rescued=search.first_under and right == 0,
-            way=search.found if first is not None else "none",
+            way=way,
             ways_tried=search.tried,
             variants_tried=tried,
             variant=right,
@@ -128,18 +128,16 @@ class _Search:
         self._ways, self._rollout = islice(approach.ways(), most), rollout
         self._failed: list[Trial] = []
         self.tried = 0
-        self.found = "none"
         self.first_under = False
 
-    def next_under(self) -> Trial | None:
-        """The next way that gets both arms under, or None when there are no more."""
+    def next_under(self) -> tuple[Trial, str] | None:
+        """The next way that gets both arms under and how it was found, or None when there are no more."""
         for way in self._ways:
             trial = self._rollout.approach(way.path)
             self.tried += 1
             if trial.under is not None:
                 self.first_under |= self.tried == 1
-                self.found = way.found if self.found == "none" else self.found
-                return trial
+                return trial, way.found
             self._failed.append(trial)
         return None
 
