@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
 from lunar_rescue.rendering import GALLERY_TURN, TURN, Studio, scene_camera
+from lunar_rescue.rocks import rock_marks
 from lunar_rescue.scene import body_surface
 
 Array = NDArray[np.float64]
@@ -112,7 +113,7 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
         weights: For rho and xi.
         height: Of the moved point above the ground [m].
     """
-    marks = np.concatenate([rock.marks() for rock in scene.rocks])
+    marks = rock_marks(scene.rocks)
     x, y = ground_grid(scene)
     points = np.stack([x, y, np.full_like(x, height)], axis=-1)
     distances = np.linalg.norm(points[:, :, None, :] - marks, axis=-1) + 1e-3

@@ -74,7 +74,7 @@ def test_every_posture_and_task_steps(env: LunarRescueEnv, posture: str, task: s
 def test_no_constant_observation() -> None:
     env = LunarRescueEnv()
     crowded = [s for s in map(sample_scene, range(1000)) if len(s.rocks) == MAX_ROCKS][:3]
-    scenes = [sample_scene(s) for s in range(60)] + crowded
+    scenes = [sample_scene(s) for s in range(150)] + crowded
     seen = np.concatenate([[o for o, _ in play(env, scene, 15)] for scene in scenes])
     constant = np.flatnonzero(seen.std(axis=0) == 0)
     env.close()

@@ -45,10 +45,10 @@ def test_rocks_are_half_buried_and_marked() -> None:
     assert rocks
     for rock in rocks:
         vertices, marks = rock.vertices(), rock.marks()
-        assert vertices[:, 2].min() < 0 < vertices[:, 2].max()
+        assert vertices[:, 2].min() < rock.ground < vertices[:, 2].max()
         assert marks.shape == (5, 3)
         assert marks[0, 2] == vertices[:, 2].max()
-        assert np.all(marks[:, 2] > 0)
+        assert np.all(marks[:, 2] > rock.ground)
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from lunar_rescue.scene import Scene, rest_pose
+from lunar_rescue.postures import Posture
+from lunar_rescue.scene import Scene
 from lunar_rescue.simulation import RigidBody, Simulation
 from lunar_rescue.suit import keypoints, mass_properties
 from lunar_rescue.targets import target_areas
@@ -46,18 +50,18 @@ class Astronaut:
 
     def __init__(self, simulation: Simulation, scene: Scene) -> None:
         """Build the body at rest in its posture."""
-        limbs = scene.model.limbs
+        fixed = _fixed(scene.model, scene.side, scene.task)
+        c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
+        heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest_height])
         self._simulation = simulation
-        self._body: RigidBody = simulation.add_suit(limbs, scene.mass)
-        self._to_body = self._body.axes_inverse.as_matrix()
-        centre, rotation = rest_pose(scene)
-        simulation.place_suit(self._body, centre, rotation)
-        self.start = AstronautState(centre, rotation.as_matrix(), np.zeros(3), np.zeros(3))
-        areas = target_areas(scene.model, scene.side, scene.task)
-        self._targets = scene.model.rest_rotation().inv().apply(areas.offsets)
-        towards = np.array([-np.sin(scene.astronaut_yaw), np.cos(scene.astronaut_yaw), 0.0]) * scene.side
-        self.ways_in = areas.way_in[:, None] * towards
-        self._keypoints = keypoints(limbs) - mass_properties(limbs).centre
+        self._body: RigidBody = simulation.add_suit(scene.model.limbs, scene.mass)
+        half = 0.5 * scene.astronaut_yaw
+        simulation.place(self._body.handle, centre, _turned(half, fixed.quaternion))
+        self._to_body = fixed.to_body
+        self.start = AstronautState(centre, heading @ fixed.rotation, np.zeros(3), np.zeros(3))
+        self._targets, self._keypoints = fixed.targets, fixed.keypoints
+        self.ways_in = fixed.way_in[:, None] * np.array([-s, c, 0.0]) * scene.side
 
     @property
     def handle(self) -> int:
@@ -81,6 +85,39 @@ class Astronaut:
         """The skeleton's 13 key points now, (13, 3) [m]."""
         points: Array = self._keypoints @ state.rotation.T + state.centre
         return points
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """What is the same in each scene of a posture, a side and a task."""
+
+    rotation: Array  # body frame at rest, head along +x (3, 3)
+    quaternion: Array  # principal axes at rest, x, y, z, w
+    to_body: Array  # from principal axes to the body frame (3, 3)
+    targets: Array  # in the body frame (2, 3) [m]
+    keypoints: Array  # in the body frame (13, 3) [m]
+    way_in: Array  # length of the ways in (2,) [m]
+
+
+@lru_cache(maxsize=256)
+def _fixed(posture: Posture, side: int, task: str) -> _Fixed:
+    properties, rest, areas = mass_properties(posture.limbs), posture.rest_rotation(), target_areas(posture, side, task)
+    axes = Rotation.from_quat(properties.axes)
+    return _Fixed(
+        rest.as_matrix(),
+        (rest * axes).as_quat(),
+        axes.inv().as_matrix(),
+        rest.inv().apply(areas.offsets),
+        keypoints(posture.limbs) - properties.centre,
+        areas.way_in,
+    )
+
+
+def _turned(half: float, q: Array) -> Array:
+    """Quaternion of a turn about z by twice ``half`` [rad] after ``q``, x, y, z, w."""
+    c, s = math.cos(half), math.sin(half)
+    x, y, z, w = q.tolist()
+    return np.array([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z])
 
 
 def _matrix(q: tuple[float, ...]) -> Array:

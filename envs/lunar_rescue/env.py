@@ -17,6 +17,7 @@ from lunar_rescue.episode import Episode
 from lunar_rescue.observation import Observer, as_dict, observation_space
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot
+from lunar_rescue.rocks import rock_marks
 from lunar_rescue.scene import Scene, sample_scene
 from lunar_rescue.simulation import Simulation
 from lunar_rescue.splits import TRAIN
@@ -177,14 +178,13 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         astronaut = Astronaut(simulation, scene)
         if terrain.rough:
             simulation.add_relief(terrain)
-        rocks = [simulation.add_hull(rock.vertices()) for rock in scene.rocks]
-        marks = np.concatenate([rock.marks() for rock in scene.rocks]) if scene.rocks else np.zeros((0, 3))
+        rocks = [simulation.add_rock(rock) for rock in scene.rocks]
+        marks = rock_marks(scene.rocks)
         robot, body = self.robot.state(fresh=True), astronaut.state()
         targets = astronaut.targets(body)
         left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
         order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
-        entries = targets + astronaut.ways_in
-        observer = Observer(scene, self.robot, targets[order], entries[order])
+        observer = Observer(scene, self.robot, targets[order], (targets + astronaut.ways_in)[order], marks)
         task = TASK_TYPES[scene.task](astronaut.start)
         episode = Episode(
             scene,

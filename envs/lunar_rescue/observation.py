@@ -108,7 +108,7 @@ def observation_table() -> list[dict[str, object]]:
 class Observer:
     """Fills the observation of one episode."""
 
-    def __init__(self, scene: Scene, robot: Robot, targets: Array, entries: Array) -> None:
+    def __init__(self, scene: Scene, robot: Robot, targets: Array, entries: Array, marks: Array) -> None:
         """Prepare everything that stays the same during the episode.
 
         Args:
@@ -116,6 +116,7 @@ class Observer:
             robot: For its limits.
             targets: Of arm A and arm B at the start, also order the rocks (2, 3) [m].
             entries: Where the ways in begin, of arm A and arm B (2, 3) [m].
+            marks: Mark points of the scene's rocks, five each (5 n, 3) [m].
         """
         self._robot = robot
         c, s = math.cos(scene.base_yaw), math.sin(scene.base_yaw)
@@ -126,7 +127,7 @@ class Observer:
         self._template = np.zeros(SIZE)
         self._template[SLICES["P_R"]] = [scene.base_x, scene.base_y, c, s]
         self._template[SLICES["I"]] = [float(scene.task == task) for task in TASKS]
-        self._template[SLICES["P_E"]] = self._obstacles(scene, targets).ravel()
+        self._template[SLICES["P_E"]] = self._obstacles(scene, targets, marks).ravel()
         self._template[SLICES["P_T"]] = self._ground(scene, targets, entries)
 
     def _ground(self, scene: Scene, targets: Array, entries: Array) -> Array:
@@ -136,15 +137,16 @@ class Observer:
         heights = scene.terrain.height(spots[..., 0], spots[..., 1]) / GROUND_UNIT
         return np.concatenate([scene.terrain.up() @ self._world_to_base, heights.ravel()])
 
-    def _obstacles(self, scene: Scene, targets: Array) -> Array:
+    def _obstacles(self, scene: Scene, targets: Array, marks: Array) -> Array:
         rows = np.zeros((MAX_ROCKS, 5))
-        middle = targets.mean(axis=0)
-        nearest = sorted(scene.rocks, key=lambda r: math.hypot(r.x - middle[0], r.y - middle[1]))
-        for row, rock in zip(rows, nearest, strict=False):
-            marks = self.to_base(rock.marks())
-            row[:3] = marks[0]
-            row[3] = np.linalg.norm(marks[1] - marks[3]) / 2
-            row[4] = 1.0
+        if scene.rocks:
+            x, y = (0.5 * float(targets[0, i] + targets[1, i]) for i in (0, 1))
+            far = [math.hypot(rock.x - x, rock.y - y) for rock in scene.rocks]
+            order = sorted(range(len(far)), key=far.__getitem__)
+            used = rows[: len(order)]
+            used[:, :3] = self.to_base(marks[::5][order])
+            used[:, 3] = [scene.rocks[index].flank for index in order]
+            used[:, 4] = 1.0
         return rows
 
     def to_base(self, points: Array) -> Array:

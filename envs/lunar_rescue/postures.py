@@ -37,7 +37,8 @@ ATTITUDE_TASKS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
+# Compared and hashed by identity, as each is read once: a look-up in a cache then costs nothing.
+@dataclass(frozen=True, eq=False)
 class Posture:
     """One posture of the astronaut.
 

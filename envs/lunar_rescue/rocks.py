@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from random import Random
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +21,11 @@ ROCK_EXPONENT, HELDOUT_EXPONENT = -1.755, -2.661
 ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
 WORK_AREA = 1.15  # m, half side of the square around the astronaut in which rocks lie
-ROCK_SHAPES = 64  # surfaces that rocks are drawn from
+#: The stones that scenes are drawn from, by their shape's seed; the simulation keeps their shapes. Sizes are the law's
+#: quantiles, so that any draw follows it.
+ROCK_SHAPES = range(64)
 HELDOUT_SHAPES = range(1000, 1032)
+ROCK_TRIES = 4  # places tried for each rock, as many are taken up by body, base and the ways in
 CLUSTER = 0.35  # m, spread of a held-out field's rocks about its middle, as of a block that broke
 CLUSTER_DISTANCE = (0.5, 1.0)  # m, of that middle from the astronaut
 
@@ -49,24 +54,55 @@ class Rock:
     shape: int
     ground: float = 0.0
 
+    @property
+    def middle(self) -> tuple[float, float, float]:
+        """Centre of the whole rock [m]."""
+        return self.x, self.y, self.ground + self.height * (0.5 - self.buried)
+
+    @property
+    def flank(self) -> float:
+        """Radius of the ring of flank marks [m]."""
+        return 0.475 * self.diameter
+
+    def corners(self) -> Array:
+        """Corners of the convex hull about its own centre, not turned (12, 3) [m]."""
+        scaled: Array = _bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2]
+        return scaled
+
     def vertices(self) -> Array:
         """Corners of the convex hull in the world, (12, 3) [m]."""
-        corners = _bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2]
-        c, sine = math.cos(self.yaw), math.sin(self.yaw)
-        turned = corners @ np.array([[c, sine, 0.0], [-sine, c, 0.0], [0.0, 0.0, 1.0]])
-        return turned + [self.x, self.y, self.ground + self.height * (0.5 - self.buried)]
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        turned: Array = self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        return turned + self.middle
 
     def marks(self) -> Array:
         """Mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
-        corners = self.vertices()
-        marks = np.empty((5, 3))
-        marks[0] = corners[np.argmax(corners[:, 2])]
-        radius = 0.5 * self.diameter * 0.95
-        across, along = radius * math.cos(self.yaw), radius * math.sin(self.yaw)
-        marks[1:, 0] = self.x + np.array([across, -along, -across, along])
-        marks[1:, 1] = self.y + np.array([along, across, -along, -across])
-        marks[1:, 2] = 0.5 * (self.ground + marks[0, 2])
-        return marks
+        return rock_marks((self,))
+
+
+def rock_marks(rocks: Sequence[Rock]) -> Array:
+    """Mark points of several rocks, five each as in ``Rock.marks``, (5 n, 3) [m]."""
+    if not rocks:
+        return np.zeros((0, 3))
+    rows = []
+    for rock in rocks:
+        c, s = math.cos(rock.yaw), math.sin(rock.yaw)
+        x, y, z = _top(rock.shape)
+        x, y, z = 0.5 * rock.diameter * x, 0.5 * rock.diameter * y, 0.5 * rock.height * z
+        top = rock.middle[2] + z
+        low, a, b = 0.5 * (rock.ground + top), rock.flank * c, rock.flank * s
+        rows.append((rock.x + c * x - s * y, rock.y + s * x + c * y, top))
+        rows += [(rock.x + a, rock.y + b, low), (rock.x - b, rock.y + a, low)]
+        rows += [(rock.x - a, rock.y - b, low), (rock.x + b, rock.y - a, low)]
+    return np.array(rows)
+
+
+@lru_cache(maxsize=1024)
+def _top(shape: int) -> tuple[float, float, float]:
+    """Highest corner of a bumpy unit rock."""
+    corners = _bumpy(shape)
+    x, y, z = corners[np.argmax(corners[:, 2])].tolist()
+    return x, y, z
 
 
 def _icosahedron() -> Array:
@@ -89,49 +125,72 @@ def _bumpy(shape: int) -> Array:
 
 
 @dataclass(frozen=True)
+class Stone:
+    """One stone of the quarry.
+
+    Attributes:
+        shape: Seed of its surface.
+        diameter: Mean horizontal diameter [m].
+        height: Whole height [m].
+    """
+
+    shape: int
+    diameter: float
+    height: float
+
+
+@lru_cache(maxsize=4)
+def quarry(shapes: range, exponent: float) -> tuple[Stone, ...]:
+    """Stones with these surfaces, sizes at the quantiles of N(>=D) ~ D^exponent, aspects as in the specification."""
+    smallest, largest = ROCK_SIZE_RANGE
+    mean, spread, least, most = ROCK_ASPECT
+    rng = np.random.default_rng(shapes.start)
+    stones = []
+    for rank, shape in enumerate(shapes):
+        diameter = min(smallest * ((rank + 0.5) / len(shapes)) ** (1 / exponent), largest)
+        stones.append(Stone(shape, diameter, diameter * min(max(float(rng.normal(mean, spread)), least), most)))
+    return tuple(stones)
+
+
+@dataclass(frozen=True)
 class RockField:
     """How the rocks of one scene are drawn.
 
     Attributes:
-        count: How many are tried.
-        exponent: Of the size-frequency law.
-        shapes: Seeds of their surfaces.
+        count: How many lie there, if they find room.
+        stones: The quarry.
         middle: Of the cluster from the astronaut (2,) [m], or None where rocks lie anywhere.
     """
 
     count: int
-    exponent: float
-    shapes: range
+    stones: tuple[Stone, ...]
     middle: tuple[float, float] | None
 
 
-def draw_field(rng: np.random.Generator, heldout: bool) -> RockField:
+def draw_field(rng: Random, heldout: bool) -> RockField:
     """Draw a rock field: scattered rocks, or for held-out scenes the debris of one broken block."""
-    count = int(rng.integers(0, MAX_ROCKS + 1))
+    count = rng.randint(0, MAX_ROCKS)
     if not heldout:
-        return RockField(count, ROCK_EXPONENT, range(ROCK_SHAPES), None)
-    distance, heading = float(rng.uniform(*CLUSTER_DISTANCE)), float(rng.uniform(0, 2 * np.pi))
+        return RockField(count, quarry(ROCK_SHAPES, ROCK_EXPONENT), None)
+    distance, heading = rng.uniform(*CLUSTER_DISTANCE), rng.uniform(0.0, 2 * math.pi)
     middle = distance * math.cos(heading), distance * math.sin(heading)
-    return RockField(max(count, 2), HELDOUT_EXPONENT, HELDOUT_SHAPES, middle)
+    return RockField(max(count, 2), quarry(HELDOUT_SHAPES, HELDOUT_EXPONENT), middle)
 
 
-def draw_rock(rng: np.random.Generator, centre: tuple[float, float], field: RockField) -> Rock:
-    """Draw one rock around a point, size by the cited law."""
-    smallest, largest = ROCK_SIZE_RANGE
-    diameter = min(smallest * (1.0 - float(rng.uniform())) ** (1 / field.exponent), largest)
-    mean, spread, least, most = ROCK_ASPECT
-    aspect = min(max(float(rng.normal(mean, spread)), least), most)
-    if field.middle is None:
-        dx, dy = (float(v) for v in rng.uniform(-WORK_AREA, WORK_AREA, 2))
-    else:
-        dx, dy = (m + float(v) for m, v in zip(field.middle, rng.normal(0, CLUSTER, 2), strict=True))
-    low, high = ROCK_BURIED
-    return Rock(
-        x=centre[0] + dx,
-        y=centre[1] + dy,
-        diameter=diameter,
-        height=aspect * diameter,
-        buried=low + (high - low) * float(rng.uniform()),
-        yaw=2 * math.pi * float(rng.uniform()),
-        shape=int(rng.integers(field.shapes.start, field.shapes.stop)),
-    )
+def draw_rocks(rng: Random, centre: tuple[float, float], field: RockField) -> Iterator[Rock]:
+    """Draw candidates for the rocks of a field around a point; a stone may come twice."""
+    for _ in range(ROCK_TRIES * field.count):
+        if field.middle is None:
+            dx, dy = rng.uniform(-WORK_AREA, WORK_AREA), rng.uniform(-WORK_AREA, WORK_AREA)
+        else:
+            dx, dy = rng.gauss(field.middle[0], CLUSTER), rng.gauss(field.middle[1], CLUSTER)
+        stone = rng.choice(field.stones)
+        yield Rock(
+            x=centre[0] + dx,
+            y=centre[1] + dy,
+            diameter=stone.diameter,
+            height=stone.height,
+            buried=rng.uniform(*ROCK_BURIED),
+            yaw=rng.uniform(0.0, 2 * math.pi),
+            shape=stone.shape,
+        )

@@ -8,6 +8,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue.postures import Posture, all_postures, heldout_postures, postures
-from lunar_rescue.rocks import MAX_ROCKS, ROCK_SIZE_RANGE, Rock, RockField, draw_field, draw_rock
+from lunar_rescue.rocks import MAX_ROCKS, ROCK_SIZE_RANGE, Rock, RockField, draw_field, draw_rocks
 from lunar_rescue.splits import split_of
 from lunar_rescue.suit import mass_properties, surface_points
 from lunar_rescue.targets import approach_sides, target_areas
@@ -28,6 +29,8 @@ TASKS = ("lift", "turn_over")
 MASS_RANGE = (160.0, 343.0)  # kg, Apollo suited person to NASA's suited, incapacitated Artemis crew member
 HELDOUT_MASSES = ((200.0, 215.0), (290.0, 305.0))  # kg, only held-out scenes have these, and they have no other
 FRICTION_RANGE = (0.7, 0.9)  # regolith friction angle 35 to 42 deg (NTRS 19730039283)
+_EDGES = (MASS_RANGE[0], *(edge for interval in HELDOUT_MASSES for edge in interval), MASS_RANGE[1])
+MASS_PIECES = {False: tuple(itertools.pairwise(_EDGES))[::2], True: HELDOUT_MASSES}  # by whether held out
 DISTANCE_RANGE = (0.85, 0.97)  # m, base to the body's long axis; assumption: within reach, not touching
 BASE_RANGE = (0.75, 2.5)  # m, base to centre of gravity in any scene; nearer the robot would stand in the body
 BASE_RADIUS = 0.30  # m, in any scene; drawn rocks keep further away
@@ -108,10 +111,19 @@ class Scene:
                 raise ValueError(
                     "Scene.terrain: expected x, y and yaw (or yaw + pi) of the astronaut, who lies on its patch"
                 )
+            sides = approach_sides(self.model)
+            if self.terrain.patch != ("lying" if len(sides) == 2 else "on_side"):
+                raise ValueError(f"Scene.terrain.patch: not that of {self.posture!r}: {self.terrain.patch!r}")
+            if len(sides) == 1 and round(turned) % 2 != (sides[0] < 0):
+                raise ValueError("Scene.terrain.yaw: the patch is turned to the back of who lies on a side")
+        if not self.rocks:
+            return
         c, s = math.cos(self.astronaut_yaw), math.sin(self.astronaut_yaw)
+        away = np.array([(rock.x - x, rock.y - y) for rock in self.rocks]) @ np.array([[c, -s], [s, c]])
+        between = away[:, None, :] - _footprint(self.model)
+        nearest = np.sqrt(np.einsum("ijk,ijk->ij", between, between).min(axis=1)).tolist()
         for index, rock in enumerate(self.rocks):
-            dx, dy = rock.x - x, rock.y - y
-            if _least_distance(_footprint(self.model), c * dx + s * dy, c * dy - s * dx) < 0.5 * rock.diameter:
+            if nearest[index] < 0.5 * rock.diameter:
                 raise ValueError(f"Scene.rocks[{index}]: lies in the astronaut")
             if math.hypot(rock.x - self.base_x, rock.y - self.base_y) < 0.5 * rock.diameter + BASE_RADIUS:
                 raise ValueError(f"Scene.rocks[{index}]: lies under the robot's base")
@@ -191,24 +203,23 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed: expected an integer >= 0, got {seed!r}")
     heldout = split_of(int(seed)) == "heldout"
-    rng = np.random.default_rng(int(seed))
+    # The standard library's generator: some forty single numbers cost NumPy's ten times as much.
+    rng = Random(int(seed))
     model, chosen = _draw_task(rng, posture, task, heldout_postures() if heldout else postures())
-    x, y = (float(v) for v in rng.uniform(-0.5, 0.5, 2))
-    pose = x, y, float(rng.uniform(0, 2 * np.pi))
+    pose = rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(0.0, 2 * math.pi)
     sides = approach_sides(model)
-    side = sides[int(rng.integers(len(sides)))]
+    side = rng.choice(sides)
     base = _draw_base(rng, model, chosen, side, pose)
-    mass, friction = _draw_mass(rng, heldout), float(rng.uniform(*FRICTION_RANGE))
+    mass, friction = _draw_mass(rng, heldout), rng.uniform(*FRICTION_RANGE)
     terrain = draw_terrain(rng, pose, side if len(sides) == 1 else 0, heldout)
     rocks = _draw_rocks(rng, model, chosen, side, pose, base, terrain, draw_field(rng, heldout))
     return Scene(int(seed), chosen, model.name, *pose, mass, friction, *base, rocks=rocks, terrain=terrain)
 
 
-def _draw_mass(rng: np.random.Generator, heldout: bool) -> float:
+def _draw_mass(rng: Random, heldout: bool) -> float:
     """Uniform over the held-out intervals, or over all the rest of the range."""
-    edges = [MASS_RANGE[0], *(edge for interval in HELDOUT_MASSES for edge in interval), MASS_RANGE[1]]
-    pieces = list(itertools.pairwise(edges))[1 if heldout else 0 :: 2]
-    along = float(rng.uniform()) * sum(high - low for low, high in pieces)
+    pieces = MASS_PIECES[heldout]
+    along = rng.random() * sum(high - low for low, high in pieces)
     for low, high in pieces:
         if along < high - low:
             return low + along
@@ -216,23 +227,21 @@ def _draw_mass(rng: np.random.Generator, heldout: bool) -> float:
     return pieces[-1][1]
 
 
-def _draw_task(
-    rng: np.random.Generator, posture: str | None, task: str | None, drawn: dict[str, Posture]
-) -> tuple[Posture, str]:
+def _draw_task(rng: Random, posture: str | None, task: str | None, drawn: dict[str, Posture]) -> tuple[Posture, str]:
     known = all_postures()
     if posture is not None and posture not in known:
         raise ValueError(f"posture: expected one of {', '.join(known)}; got {posture!r}")
     if task is not None and task not in TASKS:
         raise ValueError(f"task: expected one of {TASKS}, got {task!r}")
     names = [posture] if posture else [n for n, p in drawn.items() if task is None or task in p.tasks]
-    model = known[names[int(rng.integers(len(names)))]]
+    model = known[rng.choice(names)]
     if task is not None and task not in model.tasks:
         raise ValueError(f"task: posture {model.name!r} has {model.tasks}, not {task!r}")
-    return model, task or model.tasks[int(rng.integers(len(model.tasks)))]
+    return model, task or rng.choice(model.tasks)
 
 
 def _draw_base(
-    rng: np.random.Generator, model: Posture, task: str, side: int, pose: tuple[float, float, float]
+    rng: Random, model: Posture, task: str, side: int, pose: tuple[float, float, float]
 ) -> tuple[float, float, float]:
     """Base pose facing the middle of the two targets, with errors."""
     x, y, yaw = pose
@@ -242,12 +251,12 @@ def _draw_base(
     room = max(0.0, float(areas.near_edge.max()) - NEAR_EDGE_FREE)
     away = side * (room + rng.uniform(*DISTANCE_RANGE))
     c, s = math.cos(yaw), math.sin(yaw)
-    facing = yaw - side * np.pi / 2 + math.radians(rng.uniform(*YAW_ERROR_RANGE))
-    return float(x + c * along - s * away), float(y + s * along + c * away), float(facing)
+    facing = yaw - side * math.pi / 2 + math.radians(rng.uniform(*YAW_ERROR_RANGE))
+    return x + c * along - s * away, y + s * along + c * away, facing
 
 
 def _draw_rocks(
-    rng: np.random.Generator,
+    rng: Random,
     model: Posture,
     task: str,
     side: int,
@@ -273,8 +282,9 @@ def _draw_rocks(
     forward = math.cos(facing), math.sin(facing)
     placed: list[tuple[float, float, float]] = []
     rocks: list[Rock] = []
-    for _ in range(field.count):
-        rock = draw_rock(rng, pose[:2], field)
+    for rock in draw_rocks(rng, pose[:2], field):
+        if len(rocks) == field.count:
+            break
         x, y = to_body(rock.x, rock.y)
         radius = 0.55 * rock.diameter
         if (
@@ -285,8 +295,11 @@ def _draw_rocks(
             and _least_distance(body, x, y) > radius + 0.04
         ):
             placed.append((x, y, rock.diameter))
-            rocks.append(rock if not terrain.rough else replace(rock, ground=float(terrain.height(rock.x, rock.y))))
-    return tuple(rocks)
+            rocks.append(rock)
+    if not terrain.rough or not rocks:
+        return tuple(rocks)
+    ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
+    return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
 
 
 def _blocks_way_in(dx: float, dy: float, radius: float, forward: tuple[float, float]) -> bool:
@@ -298,10 +311,10 @@ def _blocks_way_in(dx: float, dy: float, radius: float, forward: tuple[float, fl
 
 @lru_cache(maxsize=64)
 def _footprint(model: Posture) -> Array:
-    """Points of the resting body below rocks' height, in its own frame (M, 2) [m], thinned to a 2 cm grid."""
+    """Points of the resting body below rocks' height, in its own frame (M, 2) [m], thinned to a 4 cm grid."""
     low = model.resting_surface()
-    cells = np.unique(np.round(low[low[:, 2] < 0.35][:, :2] / 0.02).astype(np.int64), axis=0)
-    return 0.02 * cells.astype(np.float64)
+    cells = np.unique(np.round(low[low[:, 2] < 0.35][:, :2] / 0.04).astype(np.int64), axis=0)
+    return 0.04 * cells.astype(np.float64)
 
 
 def _least_distance(points: Array, x: float, y: float) -> float:

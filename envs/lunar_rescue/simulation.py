@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue.quiet import no_greeting
-from lunar_rescue.suit import Limbs, MassProperties, Part, mass_properties, suit_parts
+from lunar_rescue.rocks import Rock
+from lunar_rescue.suit import Limbs, Part, mass_properties, suit_parts
 from lunar_rescue.terrain import Mound, Terrain, mounds
 
 with no_greeting():
@@ -35,7 +37,7 @@ POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no 
 RESTITUTION = 0.0  # regolith does not bounce
 # Small, they stop a rocking body as dust would (assumption) [m].
 SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
-WORLD_LIFE = 256  # episodes
+WORLD_LIFE = 2048  # episodes
 ROBOT_FILE = Path(__file__).parent / "data" / "robot.urdf"
 MOUND_FILE = Path(__file__).parent / "data" / "mound.obj"  # a unit cap, ``1 - rho^2`` in rings of ten corners
 
@@ -128,10 +130,11 @@ class Simulation:
             angularDamping=0.0,
             spinningFriction=SPINNING_FRICTION,
             rollingFriction=ROLLING_FRICTION,
+            lateralFriction=math.sqrt(self.friction),
+            restitution=RESTITUTION,
         )
-        self._set_friction(handle)
         self._removable.append(handle)
-        return RigidBody(handle, _inverse_axes(properties))
+        return RigidBody(handle, _inverse_axes(limbs))
 
     def _compound(self, parts: tuple[Part, ...]) -> int:
         kinds = {"box": pb.GEOM_BOX, "capsule": pb.GEOM_CAPSULE, "sphere": pb.GEOM_SPHERE}
@@ -152,17 +155,24 @@ class Simulation:
             self._shapes[key] = make()
         return self._shapes[key]
 
+    def add_rock(self, rock: Rock) -> int:
+        """Add a rock, a fixed convex body."""
+        key = rock.shape, rock.diameter, rock.height
+        shape = self._kept(key, lambda: self._hull(rock.corners()))
+        return self._add_fixed(shape, rock.middle, rock.yaw)
+
     def add_hull(self, vertices: Array) -> int:
-        """Add a fixed convex body (a rock), corners in the world (M, 3) [m]."""
-        centre = vertices.mean(axis=0)
-        shape = self._client.createCollisionShape(pb.GEOM_MESH, vertices=(vertices - centre).tolist())
-        return self._add_fixed(shape, centre.tolist(), 0.0)
+        """Add a fixed convex body, corners in the world (M, 3) [m]; its shape is not kept."""
+        return self._add_fixed(self._hull(vertices), (0.0, 0.0, 0.0), 0.0)
+
+    def _hull(self, corners: Array) -> int:
+        return int(self._client.createCollisionShape(pb.GEOM_MESH, vertices=corners.tolist()))
 
     def add_relief(self, terrain: Terrain) -> int:
         """Add the mounds of a terrain as one fixed body."""
         field = mounds(terrain.relief, terrain.patch)
         shape = self._kept(field, lambda: self._mounds(field))
-        self.relief = self._add_fixed(shape, [terrain.x, terrain.y, 0.0], terrain.yaw)
+        self.relief = self._add_fixed(shape, (terrain.x, terrain.y, 0.0), terrain.yaw)
         return self.relief
 
     def _mounds(self, field: tuple[Mound, ...]) -> int:
@@ -176,7 +186,7 @@ class Simulation:
             )
         )
 
-    def _add_fixed(self, shape: int, position: list[float], yaw: float) -> int:
+    def _add_fixed(self, shape: int, position: tuple[float, float, float], yaw: float) -> int:
         handle = int(self._client.createMultiBody(0, shape, self._unseen, position, _about_z(yaw)))
         self._set_friction(handle)
         self._removable.append(handle)
@@ -303,8 +313,9 @@ class Simulation:
         return bool(self._client.rayTest(start.tolist(), end.tolist())[0][0] == handle)
 
 
-def _inverse_axes(properties: MassProperties) -> Rotation:
-    return Rotation.from_quat(properties.axes).inv()
+@lru_cache(maxsize=256)
+def _inverse_axes(limbs: Limbs) -> Rotation:
+    return Rotation.from_quat(mass_properties(limbs).axes).inv()
 
 
 def _about_z(yaw: float) -> tuple[float, float, float, float]:

@@ -45,6 +45,7 @@ class TargetAreas:
     way_in: Array
 
 
+@lru_cache(maxsize=64)
 def approach_sides(posture: Posture) -> tuple[int, ...]:
     """Sides from which the robot comes: +1 is +y with the head along +x.
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from random import Random
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ MOUND_OVAL = (0.7, 1.0)  # ratio of the radii
 #: Mounds whose top is this near the body (along, across) are no higher than the last number: forearm and plate are one
 #: straight bar, and must come in over them at a slope at which the plate still passes under the body [m].
 NEAR = (0.9, 1.1, 0.07)
-RELIEFS = 16  # reliefs that scenes are drawn from; the simulation keeps their shapes
+RELIEFS = range(16)  # reliefs that scenes are drawn from; the simulation keeps their shapes
 HELDOUT_RELIEFS = range(1000, 1008)  # no training scene has these
 
 
@@ -161,7 +162,7 @@ def _arrays(relief: int, patch: str) -> tuple[Array, Array, Array, Array]:
     return centres, turns, inverse_radii, np.array([m.height for m in field])
 
 
-def draw_terrain(rng: np.random.Generator, pose: tuple[float, float, float], front: int, heldout: bool) -> Terrain:
+def draw_terrain(rng: Random, pose: tuple[float, float, float], front: int, heldout: bool) -> Terrain:
     """Draw the ground under a body.
 
     Args:
@@ -170,11 +171,10 @@ def draw_terrain(rng: np.random.Generator, pose: tuple[float, float, float], fro
         front: Side that the front of who lies on a side looks to, +1 or -1 (+1 is +y with the head along +x), else 0.
         heldout: Whether for the held-out split.
     """
-    rough, flip = bool(rng.uniform() < ROUGH_SHARE), int(rng.integers(2))
-    slope, downhill = float(rng.uniform(0, MAX_SLOPE)), float(rng.uniform(0, 2 * math.pi))
-    relief = int(rng.integers(HELDOUT_RELIEFS.start, HELDOUT_RELIEFS.stop) if heldout else rng.integers(RELIEFS))
-    if not rough:
+    if rng.random() >= ROUGH_SHARE:
         return SMOOTH
-    turned = (front < 0) if front else bool(flip)
+    slope, downhill = rng.uniform(0.0, MAX_SLOPE), rng.uniform(0.0, 2 * math.pi)
+    relief = rng.choice(HELDOUT_RELIEFS if heldout else RELIEFS)
+    turned = front < 0 or (front == 0 and rng.random() < 0.5)
     patch = "on_side" if front else "lying"
     return Terrain("rough", slope, downhill, relief, patch, pose[0], pose[1], pose[2] + math.pi * turned)
