@@ -115,7 +115,9 @@ def main() -> None:
         f"random search around the way-points of method scripted, {chosen.candidates} candidates of a kind on "
         f"{chosen.scenes} training scenes each from seed {FIRST_SEED} on, then in the order in which each adds most"
     )
-    write_json(chosen.out, {"how": how, "shares": shares, "kinds": kinds, "origin": provenance()})
+    command = f"python -m reproduce.planning.search --candidates {chosen.candidates} --scenes {chosen.scenes}"
+    origin = {**provenance(), "command": command}
+    write_json(chosen.out, {"how": how, "shares": shares, "kinds": kinds, "origin": origin})
 
 
 if __name__ == "__main__":
