@@ -106,6 +106,7 @@ def main() -> None:
     parser.add_argument("--candidates", type=int, default=CANDIDATES)
     parser.add_argument("--scenes", type=int, default=SCENES)
     chosen = parser.parse_args()
+    origin = provenance()  # of the code that runs, whatever is edited meanwhile
     kinds, shares = {}, {}
     for name in sorted(THEN):
         variants, shares[name] = search(name, chosen.candidates, chosen.scenes)
@@ -115,8 +116,6 @@ def main() -> None:
         f"random search around the way-points of method scripted, {chosen.candidates} candidates of a kind on "
         f"{chosen.scenes} training scenes each from seed {FIRST_SEED} on, then in the order in which each adds most"
     )
-    command = f"python -m reproduce.planning.search --candidates {chosen.candidates} --scenes {chosen.scenes}"
-    origin = {**provenance(), "command": command}
     write_json(chosen.out, {"how": how, "shares": shares, "kinds": kinds, "origin": origin})
 
 
