@@ -61,6 +61,7 @@ class Simulation:
         self._step = self._client.stepSimulation
         self._joint_states, self._link_states = self._client.getJointStates, self._client.getLinkStates
         self._base_pose, self._base_velocity = self._client.getBasePositionAndOrientation, self._client.getBaseVelocity
+        self._ray = self._client.rayTest
         self._set_motors, self._contact_points = self._client.setJointMotorControlArray, self._client.getContactPoints
         self.renew()
 
@@ -308,9 +309,32 @@ class Simulation:
         self._client.performCollisionDetection()
         return max((-row[8] for row in self._contact_points(first, second)), default=0.0)
 
+    def first_hit(self, start: Array, end: Array) -> tuple[int, Array]:
+        """The first body on a ray (-1 for none) and where it is hit (3,) [m]."""
+        row = self._ray(start.tolist(), end.tolist())[0]
+        return int(row[0]), np.array(row[3])
+
     def ray_hits(self, start: Array, end: Array, handle: int) -> bool:
         """Whether the first thing on a ray is this body."""
-        return bool(self._client.rayTest(start.tolist(), end.tolist())[0][0] == handle)
+        return bool(self._ray(start.tolist(), end.tolist())[0][0] == handle)
+
+    def energy(self, body: int, up: Array) -> float:
+        """Kinetic and potential energy of a body with all its links [J]; slow, for tests."""
+        total = 0.0
+        for link in range(-1, self._client.getNumJoints(body)):
+            mass, _, inertia, *_ = self._client.getDynamicsInfo(body, link)
+            if mass == 0.0:
+                continue
+            if link < 0:
+                position, turned = self._base_pose(body)
+                velocity, spin = self._base_velocity(body)
+            else:
+                row = self._link_states(body, [link], computeLinkVelocity=1, computeForwardKinematics=1)[0]
+                position, turned, velocity, spin = row[0], row[1], row[6], row[7]
+            own = Rotation.from_quat(turned).inv().apply(spin)
+            moving = mass * np.dot(velocity, velocity) + np.dot(np.array(inertia) * own, own)
+            total += 0.5 * moving + mass * LUNAR_GRAVITY * float(up @ np.array(position))
+        return float(total)
 
 
 @lru_cache(maxsize=256)
