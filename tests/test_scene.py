@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +12,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunar_rescue.postures import DATA_FILE, load_postures, postures
-from lunar_rescue.rocks import MAX_ROCKS
-from lunar_rescue.scene import TASKS, Scene, sample_scene, task_distribution
+from lunar_rescue import LunarRescueEnv
+from lunar_rescue.observation import BOUND
+from lunar_rescue.postures import DATA_FILE, all_postures, heldout_postures, load_postures, postures
+from lunar_rescue.robot import JOINTS
+from lunar_rescue.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock
+from lunar_rescue.scene import (
+    BASE_RANGE,
+    FRICTION_RANGE,
+    HELDOUT_MASSES,
+    MASS_RANGE,
+    TASKS,
+    Scene,
+    sample_scene,
+    task_distribution,
+)
+from lunar_rescue.splits import HELDOUT, TEST, TRAIN, VALIDATION
 from lunar_rescue.suit import mass_properties, suit_parts
 from lunar_rescue.targets import approach_sides, target_areas
+from lunar_rescue.terrain import MAX_SLOPE, SMOOTH, Terrain
 
 
 def test_twenty_postures_of_four_attitudes() -> None:
@@ -51,21 +67,152 @@ def test_rocks_are_half_buried_and_marked() -> None:
         assert np.all(marks[:, 2] > rock.ground)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "name"),
-    [
-        ("mass", 1000.0, "mass"),
-        ("mass", float("nan"), "mass"),
-        ("friction", 0.1, "friction"),
-        ("posture", "standing", "posture"),
-        ("task", "dance", "task"),
-        ("terrain", "water", "terrain"),
-        ("base_x", float("inf"), "base_x"),
-    ],
+def _between(bounds: tuple[float, float]) -> st.SearchStrategy[float]:
+    return st.floats(*bounds)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    """Any scene within the documented ranges, not only such as ``sample_scene`` draws."""
+    model = draw(st.sampled_from(list(all_postures().values())))
+    x, y, yaw = draw(_between((-50, 50))), draw(_between((-50, 50))), draw(_between((-7, 7)))
+    bearing, away = draw(_between((0, 6.3))), draw(_between((BASE_RANGE[0] + 0.01, BASE_RANGE[1] - 0.01)))
+    base = x + away * math.cos(bearing), y + away * math.sin(bearing), draw(_between((-7, 7)))
+    terrain = SMOOTH
+    if draw(st.booleans()):
+        sides = approach_sides(model)
+        patch, turned = ("lying", draw(st.booleans())) if len(sides) == 2 else ("on_side", sides[0] < 0)
+        slope, downhill = draw(_between((0, MAX_SLOPE))), draw(_between((0, 6.3)))
+        terrain = Terrain("rough", slope, downhill, draw(st.integers(0, 10**6)), patch, x, y, yaw + math.pi * turned)
+    made = Scene(
+        draw(st.integers(-1, 2**31 - 1)), draw(st.sampled_from(model.tasks)), model.name, x, y, yaw,
+        draw(_between(MASS_RANGE)), draw(_between(FRICTION_RANGE)), *base, terrain=terrain,
+    )  # fmt: skip
+    rocks: list[Rock] = []
+    for _ in range(draw(st.integers(0, MAX_ROCKS))):
+        rock = Rock(
+            x + draw(_between((-1.5, 1.5))), y + draw(_between((-1.5, 1.5))), draw(_between(ROCK_SIZE_RANGE)),
+            draw(_between((0.02, 0.3))), draw(_between((0.0, 0.95))), draw(_between((-7, 7))),
+            draw(st.integers(0, 10**6)),
+        )  # fmt: skip
+        try:
+            made = dataclasses.replace(made, rocks=(*rocks, rock))
+        except ValueError as error:
+            assert "lies" in str(error)  # in the astronaut, or under the base
+        else:
+            rocks.append(rock)
+    return made
+
+
+@settings(max_examples=60, deadline=None)
+@given(scenes(), st.integers(0, 2**31))
+def test_any_scene_in_range_builds_steps_and_serialises(scene: Scene, chance: int) -> None:
+    assert Scene.from_json(scene.to_json()) == scene
+    env, rng = _shared_env(), np.random.default_rng(chance)
+    observation, _ = env.reset_flat(options={"scene": scene})
+    for _ in range(3):
+        assert np.all(np.isfinite(observation)) and np.abs(observation).max() <= BOUND
+        observation, reward, *_ = env.step_flat(rng.uniform(-1, 1, JOINTS))
+        assert math.isfinite(reward)
+
+
+@lru_cache(maxsize=1)
+def _shared_env() -> LunarRescueEnv:
+    return LunarRescueEnv()
+
+
+def _set(raw: dict[str, Any], path: tuple[Any, ...], value: Any) -> None:
+    for key in path[:-1]:
+        raw = raw[key]
+    raw[path[-1]] = value
+
+
+_WRONG_NUMBERS = st.sampled_from([-1e9, 1e9, float("nan"), float("inf"), "many", None, True, [1.0]])
+_NUMBERS = [
+    *((name,) for name in ("mass", "friction", "astronaut_x", "astronaut_yaw", "base_x", "base_y", "base_yaw")),
+    *(("terrain", name) for name in ("slope", "downhill", "relief", "x", "yaw")),
+    *(("rocks", 0, name) for name in ("x", "y", "diameter", "height", "buried", "yaw", "shape", "ground")),
+]
+_WRONG_WORDS = [("task",), ("posture",), ("terrain", "kind"), ("terrain", "patch")]
+
+
+def _rough_with_rocks() -> dict[str, Any]:
+    drawn = next(s for s in map(sample_scene, range(100)) if s.rocks and s.terrain.rough)
+    raw: dict[str, Any] = json.loads(drawn.to_json())
+    return raw
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(_NUMBERS), _WRONG_NUMBERS)
+def test_numbers_out_of_range_are_refused_by_name(path: tuple[Any, ...], value: Any) -> None:
+    raw = _rough_with_rocks()
+    _set(raw, path, value)
+    with pytest.raises(ValueError, match="Scene") as error:
+        Scene.from_json(json.dumps(raw))
+    assert str(path[-1]) in str(error.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(_WRONG_WORDS), st.text(max_size=8) | st.integers() | st.none())
+def test_words_that_nobody_knows_are_refused_by_name(path: tuple[Any, ...], value: Any) -> None:
+    raw = _rough_with_rocks()
+    _set(raw, path, value)
+    with pytest.raises(ValueError, match=str(path[-1])):
+        Scene.from_json(json.dumps(raw))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(), lambda c: st.lists(c) | st.dictionaries(st.text(), c)
+    )
 )
-def test_bad_scenes_are_refused_by_name(field: str, value: Any, name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        dataclasses.replace(sample_scene(3), **{field: value})
+def test_other_json_is_refused(raw: Any) -> None:
+    with pytest.raises(ValueError, match="Scene"):
+        Scene.from_json(json.dumps(raw))
+
+
+def test_what_cannot_lie_there_is_refused() -> None:
+    scene = next(s for s in map(sample_scene, range(100)) if s.rocks and s.terrain.rough)
+    stone = scene.rocks[0]
+    for change, words in (
+        ({"rocks": (dataclasses.replace(stone, x=scene.astronaut_x, y=scene.astronaut_y),)}, "in the astronaut"),
+        ({"rocks": (dataclasses.replace(stone, x=scene.base_x, y=scene.base_y),)}, "under the robot"),
+        ({"base_x": scene.astronaut_x, "base_y": scene.astronaut_y}, "base_x"),
+        ({"terrain": dataclasses.replace(scene.terrain, x=scene.terrain.x + 0.5)}, "terrain"),
+        ({"terrain": dataclasses.replace(scene.terrain, yaw=scene.terrain.yaw + 0.5)}, "terrain"),
+        ({"terrain": "rough"}, "terrain"),
+        ({"rocks": scene.rocks * 8}, "rocks"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            dataclasses.replace(scene, **change)
+    with pytest.raises(ValueError, match="slope"):
+        Terrain("smooth", 3.0)
+
+
+def test_heldout_scenes_have_what_no_training_scene_has() -> None:
+    held = [sample_scene(seed) for seed in range(HELDOUT.start, HELDOUT.start + 400)]
+    others = [sample_scene(split.start + i) for split in (TRAIN, TEST, VALIDATION) for i in range(400)]
+    assert {s.posture for s in held} == set(heldout_postures())
+    assert {s.posture for s in others} == set(postures())
+    inside = [any(low <= s.mass <= high for low, high in HELDOUT_MASSES) for s in [*held, *others]]
+    assert all(inside[: len(held)]) and not any(inside[len(held) :])
+    for part in (lambda s: {r.shape for r in s.rocks}, lambda s: {s.terrain.relief} if s.terrain.rough else set()):
+        there, elsewhere = (set().union(*map(part, group)) for group in (held, others))
+        assert there and elsewhere and not there & elsewhere
+
+
+def test_the_documented_ranges_are_used() -> None:
+    drawn = [sample_scene(seed) for seed in range(600)]
+    assert {len(s.rocks) for s in drawn} == set(range(MAX_ROCKS + 1))
+    assert 0.4 < np.mean([s.terrain.rough for s in drawn]) < 0.6
+    assert max(s.terrain.slope for s in drawn) > 0.95 * MAX_SLOPE
+    for values, bounds in (([s.mass for s in drawn], MASS_RANGE), ([s.friction for s in drawn], FRICTION_RANGE)):
+        width = bounds[1] - bounds[0]
+        assert min(values) < bounds[0] + 0.03 * width and max(values) > bounds[1] - 0.03 * width
+    sizes = [r.diameter for s in drawn for r in s.rocks]
+    # N(>=D) ~ D^exponent: this share of the rocks is at least half as large again as the smallest.
+    assert np.mean(np.array(sizes) >= 0.15) == pytest.approx(1.5**ROCK_EXPONENT, abs=0.06)
 
 
 @pytest.mark.parametrize("change", ["missing", "unknown", "type", "rocks", "text"])

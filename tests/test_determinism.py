@@ -1,0 +1,95 @@
+"""The same seed gives the same trajectory bit for bit, wherever and after whatever it is played."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene, simulation
+from lunar_rescue.robot import JOINTS
+from lunar_rescue.splits import HELDOUT, TEST
+from reproduce.methods.scripted import ScriptedPolicy
+from reproduce.sampling import WorkerVecEnv
+from reproduce.splits import train_seed
+
+SCENES = [*range(TEST.start, TEST.start + 8), HELDOUT.start, HELDOUT.start + 1]
+
+
+def digest(env: LunarRescueEnv, scene: Scene) -> str:
+    """Of everything that a whole scripted rescue shows: contacts with body, ground and rocks included."""
+    hashed, policy = hashlib.sha256(), ScriptedPolicy()
+    observation, _ = env.reset_flat(options={"scene": scene})
+    start, done = np.array([True]), False
+    while not done:
+        hashed.update(observation.tobytes())
+        observation, reward, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
+        hashed.update(np.float64(reward).tobytes() + repr(info["reward_terms"]).encode())
+        start, done = np.array([False]), terminated or truncated
+    return hashed.hexdigest()
+
+
+def digests() -> list[str]:
+    env = LunarRescueEnv()
+    try:
+        return [digest(env, sample_scene(seed)) for seed in SCENES]
+    finally:
+        env.close()
+
+
+@pytest.fixture(scope="module")
+def reference() -> list[str]:
+    return digests()
+
+
+def test_scenes_cover_both_grounds_tasks_and_splits() -> None:
+    scenes = [sample_scene(seed) for seed in SCENES]
+    assert {s.terrain.kind for s in scenes} == {"smooth", "rough"} and {s.task for s in scenes} == {"lift", "turn_over"}
+
+
+def test_again_and_after_other_episodes(reference: list[str], env: LunarRescueEnv) -> None:
+    assert [digest(env, sample_scene(seed)) for seed in reversed(SCENES)][::-1] == reference
+
+
+def test_in_another_process(reference: list[str]) -> None:
+    code = "import sys; sys.path.insert(0, 'tests'); from test_determinism import digests; print(*digests())"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.split()[-len(SCENES) :] == reference
+
+
+def test_from_json(reference: list[str], env: LunarRescueEnv) -> None:
+    assert [digest(env, Scene.from_json(sample_scene(seed).to_json())) for seed in SCENES] == reference
+
+
+def test_in_a_renewed_world(reference: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulation, "WORLD_LIFE", 3)
+    assert digests() == reference
+
+
+def test_sixteen_environments_step_as_one_does() -> None:
+    count, steps, run_seed = 16, 12, 5
+    actions = np.random.default_rng(1).uniform(-1, 1, (steps, count, JOINTS)).astype(np.float32)
+    venv = WorkerVecEnv(count, seed=run_seed)
+    try:
+        together: list[Any] = [venv.reset()]
+        rewards = []
+        for batch in actions:
+            observations, reward, dones, _ = venv.step(batch)
+            assert not dones.any()
+            together.append(observations)
+            rewards.append(reward)
+    finally:
+        venv.close()
+    env = LunarRescueEnv()
+    for index in range(count):
+        vector, _ = env.reset_flat(train_seed(run_seed, index, 0, 0))
+        assert np.array_equal(vector, together[0][index])
+        for step in range(steps):
+            vector, alone, *_ = env.step_flat(actions[step, index])
+            assert np.array_equal(vector, together[step + 1][index])
+            assert np.float32(alone) == rewards[step][index]
+    env.close()
