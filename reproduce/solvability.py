@@ -52,7 +52,7 @@ def solve_scene(seed: int, planner: RescuePlanner) -> dict[str, Any]:
         "task": scene.task,
         "posture": scene.posture,
         "terrain": str(getattr(scene.terrain, "kind", scene.terrain)),
-        "slope": float(getattr(scene.terrain, "slope", 0.0)),
+        "slope": round(float(getattr(scene.terrain, "slope", 0.0)), 3),
         "rocks": len(scene.rocks),
         "mass": round(scene.mass, 2),
         "process1": int(ended["both_arms_under"]),
