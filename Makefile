@@ -54,7 +54,7 @@ evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each
 		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; done
 	$(BIN)/reproduce table1
 	$(BIN)/reproduce claims
-	$(BIN)/python -m reproduce.readme
+	$(BIN)/python -m reproduce.pages
 
 bench: $(STAMP)  ## measure speed
 	$(BIN)/reproduce bench

@@ -30,6 +30,7 @@ from lunar_rescue.robot import JOINTS
 from lunar_rescue.tasks import MAX_STEPS
 from reproduce.config import PRESETS
 from reproduce.errors import UserError
+from reproduce.grounds import measure_grounds
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS
 from reproduce.sampling import WorkerVecEnv
@@ -272,4 +273,5 @@ def measure_training(rounds: int, steps: int) -> dict[str, Any]:
 PARTS: dict[str, Callable[[int, int], dict[str, Any]]] = {
     "env": measure_environments,
     "training": measure_training,
+    "ground": lambda rounds, steps: measure_grounds(),
 }

@@ -13,7 +13,7 @@ from lunar_rescue.splits import SPLITS, TRAIN, split_of
 from reproduce import arithmetic
 from reproduce.claims import compute_claims
 from reproduce.errors import UserError
-from reproduce.readme import BLOCK, results_block
+from reproduce.pages import PAGES, rewritten
 from reproduce.report import with_mathml
 from reproduce.results import ROOT, reference_runs
 from reproduce.splits import train_seed
@@ -136,11 +136,10 @@ def test_splits_do_not_meet() -> None:
     assert train_seed(0, 1, 2, 3) == train_seed(0, 1, 2, 3) != train_seed(1, 1, 2, 3)
 
 
-def test_readme_holds_what_results_say() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = BLOCK.search(text)
-    assert found is not None
-    assert found.group(0) == found.group(1) + results_block() + found.group(2)
+@pytest.mark.parametrize("page", list(PAGES))
+def test_pages_hold_what_code_and_results_say(page: str) -> None:
+    """Else run ``python -m reproduce.pages``."""
+    assert (ROOT / page).read_text(encoding="utf-8") == rewritten(page)
 
 
 def test_mathematics_becomes_mathml_outside_code() -> None:

@@ -83,8 +83,8 @@ class Robot:
         self.links = len(table)
         by_joint = {row[1]: row for row in table}
         by_link = {row[2]: row[0] for row in table}
-        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
-        rows = [by_joint[name] for name in names]
+        self.names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        rows = [by_joint[name] for name in self.names]
         self._joints = [row[0] for row in rows]
         self._points = [by_link[f"{arm.name}_{link}"] for arm in ARMS for link in ARM_LINKS]
         self.arm_links = [{by_link[f"{arm.name}_{link}"] for link in ARM_LINKS} for arm in ARMS]

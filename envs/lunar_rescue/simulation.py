@@ -84,6 +84,11 @@ class Simulation:
         self.friction = 0.8
 
     @property
+    def client(self) -> int:
+        """PyBullet's number of this client, for experiments that need PyBullet itself."""
+        return int(self._client._client)
+
+    @property
     def worn(self) -> bool:
         """Whether the world should be renewed before the next episode."""
         return self._episodes >= WORLD_LIFE

@@ -4,9 +4,9 @@ The scene's frame stands on the ground: z is the normal of its mean plane. A slo
 not of the ground, and everything that lies on the ground keeps its coordinates; a picture is taken with its up against
 gravity and shows the slope.
 
-The relief is a field of mounds above the plane on which the body lies, each a convex cap. Solid convex pieces cost the
-simulation almost nothing and nothing passes through them, whereas Bullet's heightfields and meshes are thin skins that
-cost twice a plane and through which an arm that swings fast slips (measured, see ``docs/environment.md``).
+The relief is a field of mounds above the plane on which the body lies, each a convex cap. Convex pieces cost the
+simulation next to nothing, whereas Bullet's heightfields and meshes cost half as much again as a plane or more
+(measured, see ``docs/environment.md``), and being solid they cannot hold a part of an arm from below.
 """
 
 from __future__ import annotations
