@@ -49,7 +49,7 @@ def command_line() -> str:
 
 
 def commit() -> str:
-    """Commit of the checkout; ``+changes`` where tracked files other than results differ, ``unknown`` outside one."""
+    """Commit of the checkout; ``+changes`` where more than results and pages differ, ``unknown`` outside one."""
     root = Path(__file__).resolve().parent.parent
 
     def git(*arguments: str) -> str:
@@ -57,7 +57,7 @@ def commit() -> str:
         return done.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/README.md")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")
         return git("rev-parse", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

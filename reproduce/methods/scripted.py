@@ -49,11 +49,12 @@ GET_UNDER = (
     WayPoint((0.00, 0.0, 0.00), -3, 40, 20),
 )
 THEN = {
-    # Face down the chest unit makes a body that rolls: further under, then forearms up as a cradle. By random search.
+    # Face down the chest unit makes a body that rolls: further under, then forearms up as a cradle. This and turning
+    # over from a side come from the planner's random search on training scenes (``reproduce.planning.search``).
     "lift prone": (
-        WayPoint((0.23, 0.0, 0.00), 12, 55, 14),
-        WayPoint((-0.02, 0.0, 0.40), 28, 37, 14),
-        WayPoint((-0.06, 0.0, 0.46), 59, 14, 60),
+        WayPoint((0.23, 0.0, -0.02), 13, 55, 14),
+        WayPoint((0.01, 0.0, 0.42), 32, 35, 14),
+        WayPoint((-0.05, 0.0, 0.47), 58, 15, 60),
     ),
     "lift supine": (
         WayPoint((-0.02, 0.0, 0.20), 6, 30, 14),
@@ -68,13 +69,13 @@ THEN = {
         WayPoint((0.00, 0.0, 0.20), 0, 35, 25),
         WayPoint((-0.30, 0.0, 0.10), 0, 10, 60),
     ),
-    # From a side: push on low with the waist, so that the body rolls over its far edge. Found by random search.
+    # From a side: lift the near edge, push on low with the waist, so that the body rolls over its far edge.
     "turn_over side": (
-        WayPoint((0.02, 0.0, 0.26), 2, 54, 12),
-        WayPoint((0.24, 0.0, 0.08), 12, 60, 12),
-        WayPoint((0.05, 0.0, 0.58), 18, -7, 12),
-        WayPoint((-0.05, 0.0, 0.42), 12, 5, 25),
-        WayPoint((-0.51, 0.0, 0.03), 12, 0, 60),
+        WayPoint((-0.08, 0.0, 0.27), 1, 48, 12),
+        WayPoint((0.26, 0.0, 0.08), 0, 59, 12),
+        WayPoint((0.01, 0.0, 0.63), 16, -16, 16),
+        WayPoint((-0.11, 0.0, 0.42), 12, -3, 36),
+        WayPoint((-0.52, 0.0, 0.07), 18, 3, 60),
     ),
 }
 SIDE_FRONT = 0.75  # lying on a side, the front points up or down by less than this sine
