@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
+from lunar_rescue.episode import Episode
+from lunar_rescue.overlay import draw_overlay
 from lunar_rescue.rendering import GALLERY_TURN, TURN, Studio, scene_camera
 from lunar_rescue.rocks import rock_marks
 from lunar_rescue.scene import body_surface
@@ -34,6 +36,26 @@ def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
     """F4: as many environments as train together, in one picture."""
     scenes = [(f"agent {i + 1}", sample_scene(first_seed + i)) for i in range(count)]
     return picture_grid(first_pictures(scenes), columns=4)
+
+
+def grounds(count: int = 4, first_seed: int = 0) -> Figure:
+    """Unstructured ground: level, then rough from gentle to steep, with rocks."""
+    drawn = [sample_scene(first_seed + i) for i in range(60)]
+    level = next(scene for scene in drawn if not scene.terrain.rough)
+    rough = sorted((scene for scene in drawn if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
+    steps = np.linspace(0, len(rough) - 1, count - 1).round().astype(int)
+    titled = [("level", level)] + [(f"slope {rough[i].terrain.slope:.0f}°", rough[i]) for i in steps]
+    return picture_grid(first_pictures([(f"{t}, {len(s.rocks)} rocks", s) for t, s in titled], size=(480, 352)), count)
+
+
+def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> NDArray[np.uint8]:
+    """F2 as a picture: targets, mark points and the distances that the rewards are made of, (height, width, 3)."""
+    studio = Studio()
+    try:
+        camera = scene_camera(episode.scene, size)
+        return draw_overlay(studio.picture(episode, camera), episode, camera)
+    finally:
+        studio.close()
 
 
 def first_pictures(
