@@ -45,7 +45,7 @@ format: $(STAMP)  ## format the code
 notebooks: $(STAMP)  ## run the notebooks with the laptop preset
 	$(BIN)/reproduce notebooks --preset laptop
 
-reference: $(STAMP)  ## train the HRL-DCS reference run again (about 20 minutes) into results/scratch
+reference: $(STAMP)  ## train the HRL-DCS reference run again (about an hour) into results/scratch
 	$(BIN)/reproduce train hrl_dcs --preset laptop --seed 0 --out results/scratch/hrl_dcs
 
 evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each and rewrite table 1 and claims

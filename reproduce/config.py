@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lunar_rescue.rewards import ApproachForm, RewardWeights
+from reproduce.hrl.subgoals import MEANINGS
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,19 @@ class HierarchyConfig:
     """Weight of INR's approach term, towards the sub-goal."""
     form: ApproachForm = "signed"
     """Form of INR's approach term."""
+    subgoals: str = "together"
+    """What SGN's six numbers mean: ``"each"`` moves each arm's sub-goal, ``"together"`` both at once and then apart."""
+    pose_share: float = 1.0
+    """Weight of the environment's approach term in INR during process 2; 0 leaves LLN with the sub-goal alone."""
     warmup: float = 0.0
     """Share of the steps in which LLN alone learns, on sub-goals that the untrained SGN draws."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        if self.subgoals not in MEANINGS:
+            raise ValueError(f"subgoals: expected one of {MEANINGS}, got {self.subgoals!r}")
+        if self.pose_share < 0.0:
+            raise ValueError(f"pose_share: expected a number >= 0, got {self.pose_share!r}")
 
 
 @dataclass(frozen=True)
@@ -130,7 +142,7 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=1_400_000,
+    steps=4_600_000,
     low=LearnerConfig(learning_rate=5.0e-4, final_learning_rate=5.0e-5, gae_lambda=0.7, log_std_init=-0.8),
     high=LearnerConfig(batch_size=128, sequence_length=16, ent_coef=2.0e-4, log_std_init=-1.8),
 )

@@ -12,7 +12,7 @@ from lunar_rescue.robot import JOINTS
 from reproduce.config import PRESETS, TrainingConfig
 from reproduce.errors import UserError
 from reproduce.hrl.policy import FlatPolicy, HierarchicalPolicy
-from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE
+from reproduce.hrl.subgoals import LLN_SIZE, MEANINGS, SUBGOAL_SIZE
 from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.baselines import RandomPolicy
 from reproduce.methods.hrl_dcs import HierarchicalTraining
@@ -90,8 +90,11 @@ def _act_hierarchical(folder: Path) -> Policy:
     interval = read_policy_json(folder).get("interval")
     if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
         raise UserError(f"{folder / 'policy.json'}: interval: expected an integer >= 1, got {interval!r}")
+    subgoals = read_policy_json(folder).get("subgoals", "each")  # what it was before there was a choice
+    if subgoals not in MEANINGS:
+        raise UserError(f"{folder / 'policy.json'}: subgoals: expected one of {MEANINGS}, got {subgoals!r}")
     networks = load_networks(folder, _TWO_LEVELS)
-    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval)
+    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval, subgoals)
 
 
 def _act_flat(folder: Path) -> Policy:
@@ -171,5 +174,6 @@ def export_policy(folder: Path, method: Method, training: Training) -> None:
         config = training.config.high if level == "sgn" else training.config.low
         spec = NetworkSpec(*sizes[level], hidden_units=config.hidden_units, bounded_mean=level == "sgn")
         networks[level] = (spec, learner.policy)
-    extra = {"interval": training.config.hierarchy.interval} if "sgn" in networks else {}
+    hierarchy = training.config.hierarchy
+    extra = {"interval": hierarchy.interval, "subgoals": hierarchy.subgoals} if "sgn" in networks else {}
     save_policy(folder, method.name, networks, extra)  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from reproduce.config import PRESETS
 from reproduce.evaluation import rescue_scenes
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
+    APART,
     REACH,
     SUBGOAL_SIZE,
     Anchors,
@@ -55,11 +56,17 @@ def test_sub_goal_points_agree_with_the_environment(env: LunarRescueEnv) -> None
 
 def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> None:
     observation, _ = env.reset_flat(options={"scene": sample_scene(1)})
-    anchors = Anchors(1)
-    anchors.update(observation[None], np.array([True]))
+    anchors, pair = Anchors(1, "each"), Anchors(1, "together")
+    for made in (anchors, pair):
+        made.update(observation[None], np.array([True]))
     far = anchors.subgoals(np.full((1, SUBGOAL_SIZE), 9.0, np.float32))
     near = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))
     assert far - near == pytest.approx(np.full((1, SUBGOAL_SIZE), REACH))
+    assert pair.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32)) == pytest.approx(near)
+    moved = pair.subgoals(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0]], np.float32)) - near
+    assert moved[0] == pytest.approx([REACH, 0.0, -APART, REACH, 0.0, APART])
+    with pytest.raises(ValueError, match="subgoals"):
+        Anchors(1, "neither")
     view = lln_observations(observation[None], near, np.ones(1, np.float32))
     assert view[0, SIZE + 6 : SIZE + 12] == pytest.approx(near[0] - arm_ends(observation[None])[0])
 
@@ -129,10 +136,10 @@ def test_acting_in_a_batch_keeps_memories_apart() -> None:
     rows = rng.uniform(-1, 1, (7, 3, SIZE)).astype(np.float32)
     starts = np.zeros((7, 3), bool)
     starts[0], starts[4, 1] = True, True
-    together = HierarchicalPolicy(networks[0], networks[1], 5)
+    together = HierarchicalPolicy(networks[0], networks[1], 5, "together")
     batch = [together.act(rows[t], starts[t]) for t in range(7)]
     for env in range(3):
-        alone = HierarchicalPolicy(networks[0], networks[1], 5)
+        alone = HierarchicalPolicy(networks[0], networks[1], 5, "together")
         for t in range(7):
             single = alone.act(rows[t, env : env + 1], starts[t, env : env + 1])[0]
             assert single == pytest.approx(batch[t][env], abs=1e-5)

@@ -24,12 +24,13 @@ from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, arm_ends, lln_observations
+from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, arm_ends, in_process_2, lln_observations
 from reproduce.learners.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
 from reproduce.sampling import TERMS, WorkerVecEnv
 
 SUBGOAL_SPACE = spaces.Box(-1.0, 1.0, (SUBGOAL_SIZE,), np.float32)
 LLN_SPACE = spaces.Box(-np.inf, np.inf, (LLN_SIZE,), np.float32)
+APPROACH = TERMS.index("approach")
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
 SHARED_TERMS = [
     TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")
@@ -100,6 +101,8 @@ class SubGoalVecEnv(VecEnvWrapper):
         beta: float,
         form: ApproachForm,
         sgn_gamma: float,
+        subgoals: str,
+        pose_share: float,
         deterministic: bool = False,
     ) -> None:
         """Wrap environments.
@@ -111,14 +114,16 @@ class SubGoalVecEnv(VecEnvWrapper):
             beta: Weight of INR's approach term.
             form: Form of INR's approach term.
             sgn_gamma: SGN's discount, for values at the step limit.
+            subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
+            pose_share: Weight of the environment's approach term in INR during process 2.
             deterministic: Whether SGN commands its mean.
         """
         super().__init__(venv, observation_space=LLN_SPACE)
         self._sgn, self._interval, self._beta, self._form = sgn, interval, beta, form
-        self._gamma, self._deterministic = sgn_gamma, deterministic
+        self._gamma, self._pose_share, self._deterministic = sgn_gamma, pose_share, deterministic
         count = venv.num_envs
         self._terms = venv.terms
-        self._anchors = Anchors(count)
+        self._anchors = Anchors(count, subgoals)
         self.recorder = Recorder([[] for _ in range(count)])
         self.subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
         self._left = np.zeros(count, np.int64)
@@ -171,11 +176,16 @@ class SubGoalVecEnv(VecEnvWrapper):
         return np.sqrt(np.einsum("nak,nak->na", way, way)) + np.float32(SMALLEST_ERROR)
 
     def _internal_reward(self, observations: Floats) -> Floats:
-        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment."""
+        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment.
+
+        In process 2 the way of the body to its goal pose counts too: how a plate is held decides whether the body
+        stays on it, which LLN alone controls and no position of an arm's end tells.
+        """
         distance = self._distances(observations)
         gain = np.exp(self._best - distance) - (1.0 if self._form == "signed" else 0.0)
         self._best = distance  # D_m of the last step, as in the environment's own reward
-        inr: Floats = self._beta * gain.mean(axis=1) + self._terms[:, SHARED_TERMS].sum(axis=1)
+        pose = self._pose_share * self._terms[:, APPROACH] * in_process_2(observations)
+        inr: Floats = self._beta * gain.mean(axis=1) + self._terms[:, SHARED_TERMS].sum(axis=1) + pose
         return inr.astype(np.float32)
 
     def _credit(

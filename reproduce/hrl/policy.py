@@ -46,23 +46,26 @@ class Memory:
 class HierarchicalPolicy:
     """SGN every N steps, LLN every step (deterministic unless told otherwise)."""
 
-    def __init__(self, sgn: RecurrentNetwork, lln: RecurrentNetwork, interval: int, deterministic: bool = True) -> None:
+    def __init__(
+        self, sgn: RecurrentNetwork, lln: RecurrentNetwork, interval: int, subgoals: str, deterministic: bool = True
+    ) -> None:
         """Keep the networks.
 
         Args:
             sgn: High level.
             lln: Low level.
             interval: N.
+            subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
             deterministic: Whether both act by their means.
         """
         self._networks = (sgn, lln)
-        self._interval, self._deterministic = interval, deterministic
+        self._interval, self._meaning, self._deterministic = interval, subgoals, deterministic
         self._count = 0
 
     def _begin(self, count: int) -> None:
         self._count = count
         self._sgn, self._lln = (Memory(network, count) for network in self._networks)
-        self._anchors = Anchors(count)
+        self._anchors = Anchors(count, self._meaning)
         self._left = np.zeros(count, np.int64)
         self._subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
 

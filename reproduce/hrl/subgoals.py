@@ -5,6 +5,9 @@ most ``REACH`` from an anchor. In process 1 that is, for each arm, the entry bef
 the target area once it is low; in process 2 it is the target area as it was when both arms had got under. With the
 target areas alone as anchors an untrained SGN sends the arms straight at them and onto the body, and learning starts in
 a trap (tried, see the training log).
+
+What the six numbers mean is a choice, ``MEANINGS``: a displacement of each arm's sub-goal, or one of both together and
+one of the two apart. The arms have to work together on one body, and with the second SGN's exploration moves them so.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ from lunar_rescue.observation import SIZE, SLICES
 Floats = NDArray[np.float32]
 
 SUBGOAL_SIZE = 6  # two arm ends in three dimensions
-REACH = 0.6  # m, furthest that a sub-goal lies from its anchor along each axis
+REACH = 0.6  # m, furthest that SGN moves a sub-goal from its anchor along each axis, or both together
+APART = 0.25  # m, furthest that it moves either of them away from their common displacement, along each axis
+MEANINGS = ("each", "together")
 LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
 
 _END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
@@ -64,8 +69,16 @@ def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) 
 class Anchors:
     """Where sub-goals are measured from, for several environments."""
 
-    def __init__(self, count: int) -> None:
-        """Start with nothing known."""
+    def __init__(self, count: int, meaning: str) -> None:
+        """Start with nothing known.
+
+        Args:
+            count: Environments.
+            meaning: One of ``MEANINGS``.
+        """
+        if meaning not in MEANINGS:
+            raise ValueError(f"subgoals: expected one of {MEANINGS}, got {meaning!r}")
+        self._together = meaning == "together"
         self._kept = np.zeros((count, SUBGOAL_SIZE), np.float32)
         self._was_2 = np.zeros(count, bool)
 
@@ -79,5 +92,8 @@ class Anchors:
 
     def subgoals(self, outputs: Floats) -> Floats:
         """Positions (n, 6) [m] commanded by SGN's outputs (n, 6) in [-1, 1]."""
-        commanded: Floats = self._kept + REACH * np.clip(outputs, -1.0, 1.0)
-        return commanded
+        moved: Floats = np.clip(outputs, -1.0, 1.0)
+        if self._together:
+            common, apart = REACH * moved[:, :3], APART * moved[:, 3:]
+            return self._kept + np.concatenate([common + apart, common - apart], axis=1)
+        return self._kept + REACH * moved

@@ -56,7 +56,16 @@ class HierarchicalTraining(RecurrentTraining):
         high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
         h = config.hierarchy
-        env = SubGoalVecEnv(venv, self.sgn.policy, h.interval, h.beta, h.form, config.high.gamma)  # type: ignore[arg-type]
+        env = SubGoalVecEnv(
+            venv,
+            self.sgn.policy,  # type: ignore[arg-type]
+            h.interval,
+            h.beta,
+            h.form,
+            config.high.gamma,
+            h.subgoals,
+            h.pose_share,
+        )
         self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)
         super().__init__(config, venv, env, self.lln, {"sgn": self.sgn, "lln": self.lln})
 
