@@ -178,8 +178,8 @@ class SubGoalVecEnv(VecEnvWrapper):
     def _internal_reward(self, observations: Floats) -> Floats:
         """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment.
 
-        In process 2 the way of the body to its goal pose counts too: how a plate is held decides whether the body
-        stays on it, which LLN alone controls and no position of an arm's end tells.
+        In process 2 the way of the body to its goal pose may count too (``pose_share``): how a plate is held decides
+        whether the body stays on it, which no position of an arm's end tells.
         """
         distance = self._distances(observations)
         gain = np.exp(self._best - distance) - (1.0 if self._form == "signed" else 0.0)
