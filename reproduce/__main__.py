@@ -56,14 +56,19 @@ def train(
 def evaluate(
     run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
     tests: Annotated[int, typer.Option(help="number of scenes")] = 1000,
-    first_seed: Annotated[int, typer.Option(help="seed of the first scene; test scenes begin at 0")] = 0,
+    first_seed: Annotated[
+        int, typer.Option(help="seed of the first scene; test scenes begin at 0, held-out ones at 2000000")
+    ] = 0,
+    ablation: Annotated[
+        str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln, for a policy of two layers")
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
     from reproduce.evaluation import evaluate as test
     from reproduce.files import write_json
 
-    result = test(run, tests, first_seed)
+    result = test(run, tests, first_seed, ablation=ablation)
     if json:
         write_json(json, result)
     _print_evaluation(result)
@@ -75,7 +80,12 @@ def _print_evaluation(result: dict[str, Any]) -> None:
         f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]"
     )
     typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
-    for title, key in (("task", "by_task"), ("posture", "by_posture")):
+    for title, key in (
+        ("task", "by_task"),
+        ("ground", "by_terrain"),
+        ("mass", "by_mass_class"),
+        ("posture", "by_posture"),
+    ):
         for name, counts in result[key].items():
             typer.echo(f"  {title} {name}: {counts['successes']} of {counts['tests']}")
     for word, count in result["failures"].items():

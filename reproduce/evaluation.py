@@ -20,7 +20,10 @@ from tqdm.auto import tqdm
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.env import OUTCOME
+from lunar_rescue.scene import MASS_RANGE
+from lunar_rescue.splits import split_of
 from reproduce.errors import UserError
+from reproduce.hrl.ablation import ablated
 from reproduce.policy import Policy
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS, Method, load_policy
@@ -29,12 +32,14 @@ from reproduce.statistics import summarise
 _STATE: dict[str, Any] = {}
 
 
-def find_policy(where: str | Path) -> tuple[Method, Policy]:
-    """The policy of a run folder, or of a method that does not learn by its name."""
+def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method, Policy]:
+    """The policy of a run folder, or of a method that does not learn by its name; see ``reproduce.hrl.ablation``."""
     name = str(where)
     if name in METHODS and METHODS[name].train is None and not Path(where).exists():
-        return METHODS[name], METHODS[name].act(0)
-    return load_policy(Path(where))
+        method, policy = METHODS[name], METHODS[name].act(0)
+    else:
+        method, policy = load_policy(Path(where))
+    return method, policy if ablation is None else ablated(policy, ablation, method.name)
 
 
 def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
@@ -54,13 +59,24 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         "steps": env.episode.steps,
         "return": total,
         "mass": scene.mass,
+        "mass_class": mass_class(scene.mass),
+        "terrain": scene.terrain.kind,
+        "rocks": len(scene.rocks),
     }
 
 
-def _prepare(where: str) -> None:
+def mass_class(mass: float) -> str:
+    """The third of the mass range that a mass [kg] lies in."""
+    low, high = MASS_RANGE
+    edges = np.linspace(low, high, 4).round().astype(int)
+    index = min(int(3 * (mass - low) / (high - low)), 2)
+    return f"{edges[index]} to {edges[index + 1]} kg"
+
+
+def _prepare(where: str, ablation: str | None) -> None:
     th.set_num_threads(1)
     _STATE["env"] = LunarRescueEnv()
-    _STATE["policy"] = find_policy(where)[1]
+    _STATE["policy"] = find_policy(where, ablation)[1]
 
 
 def _test(seed: int, posture: str | None, task: str | None) -> dict[str, Any]:
@@ -77,6 +93,7 @@ def rescue_scenes(
     quiet: bool = False,
     posture: str | None = None,
     task: str | None = None,
+    ablation: str | None = None,
 ) -> list[dict[str, Any]]:
     """Test a policy; one row a scene, in the order of seeds.
 
@@ -87,27 +104,31 @@ def rescue_scenes(
         raise UserError(f"tests: expected at least 1, got {tests}")
     if first_seed < 0:
         raise UserError(f"first seed: expected at least 0, got {first_seed}")
-    find_policy(where)  # a bad run folder fails here, in one line, and not in a worker
+    find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
     workers = workers or len(os.sched_getaffinity(0))
     context = multiprocessing.get_context("forkserver")
     job = partial(_test, posture=posture, task=task)
     try:
-        with ProcessPoolExecutor(workers, context, _prepare, (str(where),)) as pool:
+        with ProcessPoolExecutor(workers, context, _prepare, (str(where), ablation)) as pool:
             answers = pool.map(job, range(first_seed, first_seed + tests), chunksize=4)
             return list(tqdm(answers, total=tests, unit="test", disable=quiet, desc=Path(where).name))
     except BrokenProcessPool:
         raise UserError(f"{where}: a test process died") from None
 
 
-def evaluate(where: str | Path, tests: int, first_seed: int = 0, quiet: bool = False) -> dict[str, Any]:
+def evaluate(
+    where: str | Path, tests: int, first_seed: int = 0, quiet: bool = False, ablation: str | None = None
+) -> dict[str, Any]:
     """What ``evaluation.json`` holds."""
-    method, _ = find_policy(where)
+    method, _ = find_policy(where, ablation)
     begun = time.monotonic()
-    rows = rescue_scenes(where, tests, first_seed, quiet=quiet)
+    rows = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation)
     seconds = time.monotonic() - begun
     return {
         "method": method.name,
+        **({} if ablation is None else {"ablation": ablation}),
         "first_seed": first_seed,
+        "split": split_of(first_seed),
         **summarise(rows),
         "mean_return": float(np.mean([row["return"] for row in rows])),
         "mean_steps": float(np.mean([row["steps"] for row in rows])),

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 CONFIDENCE = 0.95
+CONDITIONS = ("terrain", "mass_class", "rocks")  # of a scene, which not every row tells
 
 
 def wilson(successes: int, tests: int) -> tuple[float, float]:
@@ -44,6 +45,7 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
             ({**e, "pair": f"{e['posture']} {e['task']}"} for e in episodes),
             "pair",
         ),
+        **{f"by_{key}": count_by(episodes, key) for key in CONDITIONS if episodes and key in episodes[0]},
         "failures": dict(Counter(str(e["failure"]) for e in episodes if e["failure"] is not None).most_common()),
     }
 

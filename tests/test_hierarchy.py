@@ -17,7 +17,10 @@ from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import SIZE
 from reproduce.actions import LARGEST_CHANGE, to_environment
 from reproduce.config import PRESETS
+from reproduce.errors import UserError
 from reproduce.evaluation import rescue_scenes
+from reproduce.hrl.ablation import ABLATIONS, ablated
+from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     APART,
@@ -124,14 +127,41 @@ def test_sgn_s_mean_is_bounded_and_lln_s_is_not() -> None:
     assert isinstance(NetworkSpec(SIZE, 11, 32, False).build().action_net, th.nn.Linear)
 
 
-def test_acting_in_a_batch_keeps_memories_apart() -> None:
+def _networks() -> tuple[RecurrentNetwork, RecurrentNetwork]:
     sizes = METHODS["hrl_dcs"].sizes or {}
-    networks = [
+    made = [
         NetworkSpec(seen, actions, hidden_units=32, bounded_mean=level == "sgn").build()
         for level, (seen, actions) in sizes.items()
     ]
-    for network in networks:
+    for network in made:
         network.set_training_mode(False)
+    return made[0], made[1]
+
+
+def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) -> None:
+    first, _ = env.reset_flat(options={"scene": sample_scene(1)})
+    row, start = first[None], np.array([True])
+    policy = HierarchicalPolicy(*_networks(), 5, "together")
+    before = policy.act(row, start)
+    seen = {}
+    for name in ABLATIONS:
+        made = ablated(policy, name, "hrl_dcs")
+        action = made.act(row, start)
+        assert not np.array_equal(action, before)
+        seen[name] = made.overlay()["sub-goal"].reshape(1, 6)
+        assert made.networks[0] is policy.networks[0]
+        assert (made.networks[1] is policy.networks[1]) == (name != "untrained_lln")
+    assert seen["fixed_target"] == pytest.approx(targets(row))
+    assert seen["anchors_alone"] == pytest.approx(next_points(row))
+    assert seen["untrained_lln"] == pytest.approx(policy.overlay()["sub-goal"].reshape(1, 6))
+    with pytest.raises(UserError, match=r"--ablation.*fixed_target"):
+        ablated(policy, "no_arms", "hrl_dcs")
+    with pytest.raises(UserError, match="random has no two layers"):
+        ablated(METHODS["random"].act(0), "fixed_target", "random")
+
+
+def test_acting_in_a_batch_keeps_memories_apart() -> None:
+    networks = _networks()
     rng = np.random.default_rng(0)
     rows = rng.uniform(-1, 1, (7, 3, SIZE)).astype(np.float32)
     starts = np.zeros((7, 3), bool)

@@ -13,6 +13,7 @@ from lunar_rescue.splits import SPLITS, TRAIN, split_of
 from reproduce import arithmetic
 from reproduce.claims import compute_claims
 from reproduce.errors import UserError
+from reproduce.evaluation import mass_class
 from reproduce.pages import PAGES, rewritten
 from reproduce.report import with_mathml
 from reproduce.results import ROOT, reference_runs
@@ -146,3 +147,13 @@ def test_mathematics_becomes_mathml_outside_code() -> None:
     made = with_mathml("cost $a^2$ and `$HOME` and $$\\sum_i x_i$$")
     assert made.count("<math") == 2 and "`$HOME`" in made
     assert with_mathml("5 $ and 6 $") == "5 $ and 6 $"
+
+
+def test_conditions_of_a_scene_are_counted_where_rows_tell_them() -> None:
+    row = {"is_success": True, "both_arms_under": True, "failure": None, "task": "lift", "posture": "supine_straight"}
+    assert "by_terrain" not in summarise([row])
+    told = [{**row, "terrain": "rough", "mass_class": mass_class(mass), "rocks": 2} for mass in (160.0, 250.0, 343.0)]
+    summary = summarise([*told, {**told[0], "terrain": "smooth", "is_success": False, "failure": "timeout"}])
+    assert summary["by_terrain"]["rough"] == {"tests": 3, "successes": 3}
+    assert summary["by_mass_class"]["160 to 221 kg"] == {"tests": 2, "successes": 1}
+    assert list(summary["by_mass_class"]) == ["160 to 221 kg", "221 to 282 kg", "282 to 343 kg"]

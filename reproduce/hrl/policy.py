@@ -58,14 +58,14 @@ class HierarchicalPolicy:
             subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
             deterministic: Whether both act by their means.
         """
-        self._networks = (sgn, lln)
-        self._interval, self._meaning, self._deterministic = interval, subgoals, deterministic
+        self.networks = (sgn, lln)
+        self.interval, self.meaning, self._deterministic = interval, subgoals, deterministic
         self._count = 0
 
     def _begin(self, count: int) -> None:
         self._count = count
-        self._sgn, self._lln = (Memory(network, count) for network in self._networks)
-        self._anchors = Anchors(count, self._meaning)
+        self._sgn, self._lln = (Memory(network, count) for network in self.networks)
+        self._anchors = Anchors(count, self.meaning)
         self._left = np.zeros(count, np.int64)
         self._subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
 
@@ -79,14 +79,18 @@ class HierarchicalPolicy:
         self._anchors.update(observations, starts)
         rows = np.flatnonzero(self._left <= 0)
         if len(rows):
-            commands = np.zeros_like(self._subgoals)
-            commands[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
-            self._subgoals[rows] = self._anchors.subgoals(commands)[rows]
-            self._left[rows] = self._interval
-        view = lln_observations(observations, self._subgoals, (self._left / self._interval).astype(np.float32))
+            self._subgoals[rows] = self.command(observations, rows)
+            self._left[rows] = self.interval
+        view = lln_observations(observations, self._subgoals, (self._left / self.interval).astype(np.float32))
         self._left -= 1
         outputs = self._lln.act(view, np.arange(len(observations)), self._deterministic)
         return to_environment(observations, outputs)
+
+    def command(self, observations: Observations, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+        """New sub-goals (len(rows), 6) [m] of some of the environments, by SGN."""
+        outputs = np.zeros_like(self._subgoals)
+        outputs[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
+        return self._anchors.subgoals(outputs)[rows]
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """The sub-goals in the base frame, (n, 2, 3) [m]."""
