@@ -1,0 +1,79 @@
+"""A training that is killed at any moment, and gone on with, ends in the weights of one that was not."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reproduce.checkpoint import NAME
+
+SCRIPT = Path(__file__).parent / "small_training.py"
+KILLS = 20
+
+
+def _start(folder: Path) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, str(SCRIPT), str(folder)], start_new_session=True)
+
+
+def _digest(folder: Path) -> str:
+    return hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
+
+
+def _alive(session: int) -> list[int]:
+    """Processes of a session that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+            except (OSError, IndexError):
+                continue
+            if int(fields[3]) == session and fields[0] != "Z":
+                found.append(int(entry.name))
+    return found
+
+
+def _wait_for_nobody(session: int, seconds: float = 20.0) -> list[int]:
+    end = time.monotonic() + seconds
+    while _alive(session) and time.monotonic() < end:
+        time.sleep(0.1)
+    return _alive(session)
+
+
+@pytest.mark.slow
+def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
+    begun = time.monotonic()
+    assert _start(tmp_path / "whole").wait(timeout=120) == 0
+    lasted, expected = time.monotonic() - begun, _digest(tmp_path / "whole")
+    rng = np.random.default_rng(0)
+    interrupted = resumed = 0
+    for number in range(KILLS):
+        folder = tmp_path / str(number)
+        process = _start(folder)
+        time.sleep(float(rng.uniform(0.2, 0.98)) * lasted)
+        interrupted += process.poll() is None
+        process.kill()
+        process.wait()
+        assert not _wait_for_nobody(process.pid), "workers outlived a training that was killed"
+        resumed += (folder / NAME).is_file()
+        assert _start(folder).wait(timeout=120) == 0
+        assert _digest(folder) == expected, number
+    assert interrupted >= KILLS - 2 and resumed >= KILLS // 4  # else nothing was tested
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
+    process = _start(tmp_path / "run")
+    time.sleep(6.0)
+    assert len(_alive(process.pid)) > 1
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(timeout=30) != 0
+    assert not _wait_for_nobody(process.pid)
