@@ -142,9 +142,16 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=4_200_000,
-    low=LearnerConfig(learning_rate=5.0e-4, final_learning_rate=5.0e-5, gae_lambda=0.7, log_std_init=-0.8),
-    high=LearnerConfig(batch_size=128, sequence_length=16, ent_coef=2.0e-4, log_std_init=-1.8),
+    steps=3_600_000,
+    low=LearnerConfig(learning_rate=2.5e-4, final_learning_rate=2.0e-5, gae_lambda=0.7, log_std_init=-0.8),
+    high=LearnerConfig(
+        learning_rate=2.0e-4,
+        final_learning_rate=2.0e-5,
+        batch_size=128,
+        sequence_length=16,
+        ent_coef=2.0e-4,
+        log_std_init=-1.8,
+    ),
 )
 
 #: Presets by name. ``laptop`` made the reference runs; ``paper`` has the paper's numbers where it gives them.
