@@ -52,6 +52,12 @@ evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each
 	for run in $(wildcard $(REFERENCE)/*/seed*); do \
 		if [ -f $$run/policy.json ]; then target=$$run; else target=$$(basename $$(dirname $$run)); fi; \
 		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; done
+	for run in $(dir $(wildcard $(REFERENCE)/*/seed*/policy.json)); do \
+		$(BIN)/reproduce evaluate $$run --tests 1000 --first-seed 2000000 --json $$run/heldout.json || exit 1; done
+	for run in $(dir $(wildcard $(REFERENCE)/hrl_dcs/seed*/policy.json)); do \
+		$(BIN)/reproduce evaluate $$run --tests 200 --json $$run/both_layers.json || exit 1; \
+		for layer in fixed_target anchors_alone untrained_lln; do \
+			$(BIN)/reproduce evaluate $$run --tests 200 --ablation $$layer --json $$run/$$layer.json || exit 1; done; done
 	$(BIN)/reproduce table1
 	$(BIN)/reproduce claims
 	$(BIN)/python -m reproduce.pages

@@ -50,6 +50,13 @@ def results_block() -> str:
                 f"{run.origin['machine']['cores']} cores, environment {run.origin['environment_version']}; "
                 f"both arms under in {under:.1f} % of tests."
             )
+            held = run.other("heldout")
+            if held is not None:
+                low, high = 100 * held["wilson_low"], 100 * held["wilson_high"]
+                lines.append(
+                    f"On {held['tests']} held-out scenes (postures, masses, rock fields and reliefs that no training "
+                    f"scene has): {100 * held['success_rate']:.1f} % [{low:.1f} %, {high:.1f} %]."
+                )
     verdicts = ", ".join(f"{c.id} {c.verdict}" for c in compute_claims())
     lines += ["", f"Claims: {verdicts} (`results/claims.json` says why)."]
     return "\n".join(lines) + "\n"

@@ -44,6 +44,11 @@ class Run:
         """Minutes of the training; 0 without one."""
         return float(self.origin["seconds"]) / 60 if self.origin else 0.0
 
+    def other(self, name: str) -> dict[str, Any] | None:
+        """Another evaluation of the run, such as ``heldout`` or an ablation, or None."""
+        path = self.folder / f"{name}.json"
+        return read_json(path, "evaluation") if path.is_file() else None
+
     def curve(self) -> pd.DataFrame | None:
         """``progress.csv``, or None."""
         path = self.folder / "progress.csv"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from reproduce.files import write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS, PAPER_ONLY
-from reproduce.results import RESULTS, reference_runs
+from reproduce.results import RESULTS, Run, reference_runs
+from reproduce.statistics import wilson
 
 COLUMNS = [
     "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
@@ -69,3 +71,41 @@ def write_table1(results: Path = RESULTS) -> Path:
     write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
     record_origin(path)
     return path
+
+
+#: Key of an evaluation and what its groups are.
+CONDITIONS = {
+    "by_task": "task",
+    "by_terrain": "ground",
+    "by_mass_class": "mass",
+    "by_rocks": "rocks",
+    "by_posture": "posture",
+}
+
+
+def by_condition(evaluation: dict[str, Any]) -> pd.DataFrame:
+    """Success by task, ground, mass, number of rocks and posture, with intervals."""
+    rows = []
+    for key, title in CONDITIONS.items():
+        for name, counts in evaluation.get(key, {}).items():
+            low, high = wilson(counts["successes"], counts["tests"])
+            rate = counts["successes"] / counts["tests"]
+            rows.append((title, name, counts["tests"], rate, low, high))
+    return pd.DataFrame(rows, columns=["of", "which", "tests", "success", "low", "high"]).set_index(["of", "which"])
+
+
+def layers(run: Run) -> pd.DataFrame:
+    """What each layer adds: the trained policy with one layer put out of action, on the same scenes."""
+    titles = {
+        "fixed_target": "SGN replaced by the target areas",
+        "anchors_alone": "SGN silent: the next point of the way in",
+        "untrained_lln": "LLN untrained",
+    }
+    rows = []
+    for name, title in {"both_layers": "both layers, as trained", **titles}.items():
+        found = run.other(name)
+        if found is not None:
+            rate, low, high = (found[key] for key in ("success_rate", "wilson_low", "wilson_high"))
+            rows.append((title, found["tests"], found["both_arms_under"], rate, low, high))
+    columns = ["policy", "tests", "both arms under", "success", "low", "high"]
+    return pd.DataFrame(rows, columns=columns).set_index("policy")
