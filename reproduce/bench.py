@@ -28,15 +28,19 @@ from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.quiet import no_greeting
 from lunar_rescue.robot import JOINTS
 from lunar_rescue.tasks import MAX_STEPS
-from reproduce.config import PRESETS
+from reproduce.config import PRESETS, TrainingConfig
 from reproduce.errors import UserError
 from reproduce.grounds import measure_grounds
+from reproduce.methods.hrl_dcs import make_learner
+from reproduce.methods.stepping import OnlySpaces
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS
 from reproduce.sampling import WorkerVecEnv
 from reproduce.soak import FIRST_SEED
+from reproduce.stock import StockTraining, copy_rollout
 from reproduce.training import train
 
+STOCK_UPDATES, LEARNER_ROUNDS = 3, 3
 ROUNDS = 9  # besides the first, which fills caches
 STEPS = 1000  # at least, of a kind of ground, and of the peer, in a round
 ALL_ENVS = 16  # environments on all cores, for MAX_STEPS steps a round: most end together, once in so many steps
@@ -260,13 +264,50 @@ def _all_environments(venv: WorkerVecEnv, rng: np.random.Generator) -> float:
 
 # -- training ----------------------------------------------------------------------------------------------------------
 def measure_training(rounds: int, steps: int) -> dict[str, Any]:
-    """Environment steps a second of a whole training of the main method."""
+    """A whole training of the main method with our parts and with stock ones, and the learners alone."""
     config = replace(PRESETS["laptop"], steps=12 * 2048)
     with tempfile.TemporaryDirectory() as folder:
         curve = train(METHODS["hrl_dcs"], config, 0, Path(folder) / "run", "laptop", quiet=True)
     # The first updates hold the start of workers and learners.
     taken, seconds = curve["env_steps"].to_numpy(), curve["seconds"].to_numpy()
-    return {"training_steps_per_s": round(float((taken[-1] - taken[1]) / (seconds[-1] - seconds[1])), 1)}
+    ours = float((taken[-1] - taken[1]) / (seconds[-1] - seconds[1]))
+    stock, learner = _stock_training(config, STOCK_UPDATES)
+    return {
+        "training_steps_per_s": round(ours, 1),
+        "stock_training_steps_per_s": round(stock, 1),
+        "training_ratio": round(ours / stock, 2),
+        **learner,
+    }
+
+
+def _stock_training(config: TrainingConfig, updates: int) -> tuple[float, dict[str, Any]]:
+    """Steps a second of a training with stock parts; then both learners on the last rollout, in alternation."""
+    with closing(StockTraining(config, 0)) as stock:
+        stock.update()
+        begun = time.perf_counter()
+        for _ in range(updates):
+            stock.update()
+        rate = updates * config.low.n_steps * config.n_envs / (time.perf_counter() - begun)
+        theirs = stock.lln
+        ours = make_learner(
+            OnlySpaces(stock.env.observation_space, stock.env.action_space, config.n_envs), config.low, 0, False
+        )
+        ours.policy.load_state_dict(theirs.policy.state_dict())
+        stock.collect()
+        # Before the stock learner reads its buffer, which flattens it for good.
+        copy_rollout(theirs.rollout_buffer, ours.rollout_buffer)
+        seconds: dict[str, list[float]] = {"stock": [], "ours": []}
+        for _ in range(LEARNER_ROUNDS):
+            for name, learner in (("stock", theirs), ("ours", ours)):
+                seconds[name].append(_seconds_of(learner.train))
+    ratios = [theirs / ours for theirs, ours in zip(seconds["stock"], seconds["ours"], strict=True)]
+    return rate, {"learner_ratio": round(median(ratios), 2), "learner_ratio_rounds": [round(r, 2) for r in ratios]}
+
+
+def _seconds_of(run: Callable[[], None]) -> float:
+    begun = time.perf_counter()
+    run()
+    return time.perf_counter() - begun
 
 
 #: What ``bench --part`` knows, in the order in which it is run.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.logger import Logger
 
 from reproduce.config import LearnerConfig, TrainingConfig
@@ -17,9 +18,12 @@ from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.stepping import OnlySpaces, RecurrentTraining, make_environments
 
 
-def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool) -> SequencePPO:
-    """One recurrent PPO learner as SB3 knows it."""
-    learner = SequencePPO(
+def make_learner(
+    env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
+) -> Any:
+    """One recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
+    own = {"sequence_length": config.sequence_length} if issubclass(kind, SequencePPO) else {}
+    learner = kind(
         RecurrentNetwork,
         env,
         learning_rate=lambda left: (
@@ -34,7 +38,6 @@ def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool)
         ent_coef=config.ent_coef,
         vf_coef=config.vf_coef,
         max_grad_norm=config.max_grad_norm,
-        sequence_length=config.sequence_length,
         policy_kwargs={
             "hidden_units": config.hidden_units,
             "bounded_mean": bounded_mean,
@@ -42,6 +45,7 @@ def make_learner(env: Any, config: LearnerConfig, seed: int, bounded_mean: bool)
         },
         seed=seed,
         device="cpu",
+        **own,  # type: ignore[arg-type]
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
@@ -58,7 +62,7 @@ class HierarchicalTraining(RecurrentTraining):
         h = config.hierarchy
         env = SubGoalVecEnv(
             venv,
-            self.sgn.policy,  # type: ignore[arg-type]
+            self.sgn.policy,
             h.interval,
             h.beta,
             h.form,
