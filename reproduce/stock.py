@@ -26,7 +26,7 @@ from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.robot import JOINTS
 from reproduce.config import TrainingConfig
 from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
-from reproduce.methods.hrl_dcs import make_learner
+from reproduce.methods.hrl_dcs import make_learner, sub_goal_view
 from reproduce.methods.stepping import OnlySpaces, start_collecting
 from reproduce.sampling import TERMS
 
@@ -83,23 +83,14 @@ class StockTraining:
 
     def __init__(self, config: TrainingConfig, seed: int) -> None:
         """Start environments and learners."""
-        self.config, h = config, config.hierarchy
+        self.config = config
         workers = SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver")
         venv = TermsFromInfos(workers)
-        self.rows = config.low.n_steps // h.interval - 1
+        self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
         high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
-        self.env = SubGoalVecEnv(
-            venv,  # type: ignore[arg-type]
-            self.sgn.policy,
-            h.interval,
-            h.beta,
-            h.form,
-            config.high.gamma,
-            h.subgoals,
-            h.pose_share,
-        )
+        self.env = sub_goal_view(venv, self.sgn.policy, config)
         self.lln: Any = make(self.env, config.low, bounded_mean=False)
         self._callback = start_collecting(self.lln, config.steps)
 

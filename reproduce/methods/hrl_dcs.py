@@ -51,6 +51,12 @@ def make_learner(
     return learner
 
 
+def sub_goal_view(venv: Any, sgn: RecurrentNetwork, config: TrainingConfig) -> SubGoalVecEnv:
+    """LLN's view of environments in which ``sgn`` sets the sub-goals."""
+    h = config.hierarchy
+    return SubGoalVecEnv(venv, sgn, h.interval, h.beta, h.form, config.high.gamma, h.subgoals, h.pose_share)
+
+
 class HierarchicalTraining(RecurrentTraining):
     """Trains SGN and LLN; one ``update`` is one rollout and one training of each."""
 
@@ -59,17 +65,7 @@ class HierarchicalTraining(RecurrentTraining):
         venv = make_environments(config, seed)
         high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
-        h = config.hierarchy
-        env = SubGoalVecEnv(
-            venv,
-            self.sgn.policy,
-            h.interval,
-            h.beta,
-            h.form,
-            config.high.gamma,
-            h.subgoals,
-            h.pose_share,
-        )
+        env = sub_goal_view(venv, self.sgn.policy, config)
         self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)
         super().__init__(config, venv, env, self.lln, {"sgn": self.sgn, "lln": self.lln})
 
