@@ -104,6 +104,11 @@ def rescue_scenes(
         raise UserError(f"tests: expected at least 1, got {tests}")
     if first_seed < 0:
         raise UserError(f"first seed: expected at least 0, got {first_seed}")
+    if split_of(first_seed) != split_of(first_seed + tests - 1):
+        raise UserError(
+            f"first seed {first_seed}, tests {tests}: the scenes belong to {split_of(first_seed)} and "
+            f"{split_of(first_seed + tests - 1)}; choose seeds of one split"
+        )
     find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
     workers = workers or len(os.sched_getaffinity(0))
     context = multiprocessing.get_context("forkserver")

@@ -43,9 +43,11 @@ def record_origin(path: Path) -> None:
 
 
 def command_line() -> str:
-    """The command as a user would type it, without the path of the interpreter."""
+    """The command as a user would type it in the checkout: no path of the machine's own."""
     name = Path(sys.argv[0]).name
-    return shlex.join(["reproduce" if name in ("__main__.py", "reproduce") else name, *sys.argv[1:]])
+    root = f"{Path(__file__).resolve().parent.parent}{os.sep}"
+    arguments = [argument.replace(root, "") for argument in sys.argv[1:]]
+    return shlex.join(["reproduce" if name in ("__main__.py", "reproduce") else name, *arguments])
 
 
 def commit() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -157,3 +158,14 @@ def test_conditions_of_a_scene_are_counted_where_rows_tell_them() -> None:
     assert summary["by_terrain"]["rough"] == {"tests": 3, "successes": 3}
     assert summary["by_mass_class"]["160 to 221 kg"] == {"tests": 2, "successes": 1}
     assert list(summary["by_mass_class"]) == ["160 to 221 kg", "221 to 282 kg", "282 to 343 kg"]
+
+
+def test_no_file_of_the_project_holds_a_path_of_a_machine() -> None:
+    listed = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True)
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout")
+    written = {".json", ".csv", ".md", ".toml", ".yml", ".ipynb", ".lock", ".cff"}
+    for path in (ROOT / name for name in listed.stdout.split()):
+        if path.is_file() and path.suffix in written:
+            text = path.read_text(encoding="utf-8")
+            assert f"{ROOT}/" not in text and "/home/" not in text, path

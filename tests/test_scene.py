@@ -76,7 +76,9 @@ def scenes(draw: st.DrawFn) -> Scene:
     """Any scene within the documented ranges, not only such as ``sample_scene`` draws."""
     model = draw(st.sampled_from(list(all_postures().values())))
     x, y, yaw = draw(_between((-50, 50))), draw(_between((-50, 50))), draw(_between((-7, 7)))
-    bearing, away = draw(_between((0, 6.3))), draw(_between((BASE_RANGE[0] + 0.01, BASE_RANGE[1] - 0.01)))
+    away = draw(_between((BASE_RANGE[0] + 0.01, BASE_RANGE[1] - 0.01)))
+    # Anywhere on a side from which the robot may come.
+    bearing = yaw + draw(st.sampled_from(approach_sides(model))) * draw(_between((0.02, math.pi - 0.02)))
     base = x + away * math.cos(bearing), y + away * math.sin(bearing), draw(_between((-7, 7)))
     terrain = SMOOTH
     if draw(st.booleans()):
@@ -90,10 +92,10 @@ def scenes(draw: st.DrawFn) -> Scene:
     )  # fmt: skip
     rocks: list[Rock] = []
     for _ in range(draw(st.integers(0, MAX_ROCKS))):
+        at = x + draw(_between((-1.5, 1.5))), y + draw(_between((-1.5, 1.5)))
         rock = Rock(
-            x + draw(_between((-1.5, 1.5))), y + draw(_between((-1.5, 1.5))), draw(_between(ROCK_SIZE_RANGE)),
-            draw(_between((0.02, 0.3))), draw(_between((0.0, 0.95))), draw(_between((-7, 7))),
-            draw(st.integers(0, 10**6)),
+            *at, draw(_between(ROCK_SIZE_RANGE)), draw(_between((0.02, 0.3))), draw(_between((0.0, 0.95))),
+            draw(_between((-7, 7))), draw(st.integers(0, 10**6)), float(terrain.height(*at)),
         )  # fmt: skip
         try:
             made = dataclasses.replace(made, rocks=(*rocks, rock))
@@ -149,7 +151,10 @@ def test_numbers_out_of_range_are_refused_by_name(path: tuple[Any, ...], value: 
     _set(raw, path, value)
     with pytest.raises(ValueError, match="Scene") as error:
         Scene.from_json(json.dumps(raw))
-    assert str(path[-1]) in str(error.value)
+    named = "Scene"
+    for part in path:
+        named += f"[{part}]" if isinstance(part, int) else f".{part}"
+    assert named in str(error.value)
 
 
 @settings(max_examples=60, deadline=None)
@@ -175,19 +180,37 @@ def test_other_json_is_refused(raw: Any) -> None:
 def test_what_cannot_lie_there_is_refused() -> None:
     scene = next(s for s in map(sample_scene, range(100)) if s.rocks and s.terrain.rough)
     stone = scene.rocks[0]
+
+    def moved(x: float, y: float) -> dict[str, Any]:
+        return {"rocks": (dataclasses.replace(stone, x=x, y=y, ground=float(scene.terrain.height(x, y))),)}
+
     for change, words in (
-        ({"rocks": (dataclasses.replace(stone, x=scene.astronaut_x, y=scene.astronaut_y),)}, "in the astronaut"),
-        ({"rocks": (dataclasses.replace(stone, x=scene.base_x, y=scene.base_y),)}, "under the robot"),
+        (moved(scene.astronaut_x, scene.astronaut_y), "in the astronaut"),
+        (moved(scene.base_x, scene.base_y), "under the robot"),
         ({"base_x": scene.astronaut_x, "base_y": scene.astronaut_y}, "base_x"),
         ({"terrain": dataclasses.replace(scene.terrain, x=scene.terrain.x + 0.5)}, "terrain"),
         ({"terrain": dataclasses.replace(scene.terrain, yaw=scene.terrain.yaw + 0.5)}, "terrain"),
         ({"terrain": "rough"}, "terrain"),
+        ({"rocks": (dataclasses.replace(stone, ground=stone.ground + 0.3),)}, r"rocks\[0\].ground"),
+        ({"rocks": None}, "rocks"),
+        ({"rocks": [1]}, "rocks"),
+        ({"seed": -7}, "seed"),
+        ({"seed": 2.5}, "seed"),
+        ({"mass": "x"}, "mass"),
+        ({"posture": ["a"]}, "posture"),
         ({"rocks": scene.rocks * 8}, "rocks"),
     ):
         with pytest.raises(ValueError, match=words):
             dataclasses.replace(scene, **change)
     with pytest.raises(ValueError, match="slope"):
         Terrain("smooth", 3.0)
+    lying = sample_scene(3, posture="left_side_curled")
+    behind = 2 * lying.astronaut_x - lying.base_x, 2 * lying.astronaut_y - lying.base_y
+    with pytest.raises(ValueError, match="base_x, base_y"):
+        dataclasses.replace(lying, base_x=behind[0], base_y=behind[1], rocks=())
+    for text in ("[" * 100_000, '{"seed": ' + "9" * 5000 + "}", '{"seed": 1' + "0" * 400 + "}"):
+        with pytest.raises(ValueError, match="Scene"):
+            Scene.from_json(text)
 
 
 def test_heldout_scenes_have_what_no_training_scene_has() -> None:

@@ -92,7 +92,6 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
         """Start an episode; ``options`` may hold ``scene``, or ``posture`` and ``task`` to draw one."""
-        super().reset(seed=seed)
         vector, info = self.reset_flat(seed, options)
         return as_dict(vector), info
 
@@ -125,6 +124,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """As ``reset``, with the observation as one vector (SIZE,)."""
+        super().reset(seed=seed)
         scene = self._choose_scene(seed, dict(options or {}))
         self._episode = self._build(scene)
         return self._observe(self._zero), {"scene": scene, "task": scene.task, "posture": scene.posture}

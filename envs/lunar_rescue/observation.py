@@ -1,7 +1,7 @@
 """The observation s_t: what each key holds, its shape and unit, and how it is filled.
 
 Positions are in the robot's base frame (x forward, y left, z up), which is what the robot's own sensors give. All
-entries lie in one flat vector, and the Dict observation's arrays are its slices: learners read it without copying.
+entries lie in one flat vector, which learners read as it is; the Dict observation's arrays are copies of its slices.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ ENTRIES = (
     Entry(
         "P_E",
         5 * MAX_ROCKS,
-        f"obstacles, nearest to the targets first, {MAX_ROCKS} rows, unused ones zero: "
+        f"obstacles, nearest to the middle of the targets at the start first, {MAX_ROCKS} rows, unused ones zero: "
         "position of the top mark (3) [m], radius of the ring of flank marks [m], present (1 or 0)",
     ),
     Entry(

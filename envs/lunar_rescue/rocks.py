@@ -20,9 +20,10 @@ ROCK_EXPONENT, HELDOUT_EXPONENT = -1.755, -2.661
 # Height/diameter: mean, spread, least, most (same source; spread halved).
 ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
-WORK_AREA = 1.15  # m, half side of the square around the astronaut in which rocks lie
+WORK_AREA = 1.15  # m, half side of the square around the astronaut in which scattered rocks lie
 #: The stones that scenes are drawn from, by their shape's seed; the simulation keeps their shapes. Sizes are the law's
-#: quantiles, so that any draw follows it.
+#: quantiles, the largest all of the greatest size. Small stones find room more easily, so those that lie in scenes are
+#: a little smaller than the law has them.
 ROCK_SHAPES = range(64)
 HELDOUT_SHAPES = range(1000, 1032)
 ROCK_TRIES = 4  # places tried for each rock, as many are taken up by body, base and the ways in

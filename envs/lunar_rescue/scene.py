@@ -75,6 +75,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         """Refuse a scene that is malformed or out of range, naming the field."""
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < -1:
+            raise ValueError(f"Scene.seed: expected an integer >= -1, got {self.seed!r}")
+        for name in ("posture", "task"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"Scene.{name}: expected a name, got {getattr(self, name)!r}")
         known = all_postures()
         if self.posture not in known:
             raise ValueError(f"Scene.posture: expected one of {', '.join(known)}; got {self.posture!r}")
@@ -86,6 +91,13 @@ class Scene:
         _in_range("friction", self.friction, FRICTION_RANGE)
         for name in ("astronaut_x", "astronaut_y", "astronaut_yaw", "base_x", "base_y", "base_yaw"):
             _in_range(name, getattr(self, name), (-100.0, 100.0))
+        self._check_rocks()
+        self._check_places()
+
+    def _check_rocks(self) -> None:
+        """Refuse rocks that are malformed or out of range."""
+        if not isinstance(self.rocks, tuple) or not all(isinstance(rock, Rock) for rock in self.rocks):
+            raise ValueError(f"Scene.rocks: expected a tuple of Rock, got {self.rocks!r}")
         if len(self.rocks) > MAX_ROCKS:
             raise ValueError(f"Scene.rocks: expected at most {MAX_ROCKS}, got {len(self.rocks)}")
         for index, rock in enumerate(self.rocks):
@@ -99,30 +111,39 @@ class Scene:
             _in_range(f"{where}.yaw", rock.yaw, (-100.0, 100.0))
             if isinstance(rock.shape, bool) or not isinstance(rock.shape, int) or rock.shape < 0:
                 raise ValueError(f"Scene.{where}.shape: expected an integer >= 0, got {rock.shape!r}")
-        self._check_places()
+
+    def _check_ground(self) -> None:
+        """Refuse a side to come from, or a relief, that does not suit how the body lies."""
+        sides = approach_sides(self.model)
+        if self.side not in sides:
+            raise ValueError("Scene.base_x, base_y: the robot stands behind the back of who lies on a side")
+        if self.terrain.rough:
+            turned = (self.terrain.yaw - self.astronaut_yaw) / math.pi
+            aside = math.dist((self.terrain.x, self.terrain.y), (self.astronaut_x, self.astronaut_y))
+            if max(aside, abs(turned - round(turned))) > 1e-6:
+                raise ValueError(
+                    "Scene.terrain: expected x, y and yaw (or yaw + pi) of the astronaut, who lies on its patch"
+                )
+            if self.terrain.patch != ("lying" if len(sides) == 2 else "on_side"):
+                raise ValueError(f"Scene.terrain.patch: not that of {self.posture!r}: {self.terrain.patch!r}")
+            if len(sides) == 1 and round(turned) % 2 != (sides[0] < 0):
+                raise ValueError("Scene.terrain.yaw: the patch is turned to the back of who lies on a side")
 
     def _check_places(self) -> None:
         """Refuse what cannot lie where it is said to lie."""
         x, y = self.astronaut_x, self.astronaut_y
         _in_range("base_x, base_y: distance to the astronaut", math.hypot(self.base_x - x, self.base_y - y), BASE_RANGE)
-        if self.terrain.rough:
-            turned = (self.terrain.yaw - self.astronaut_yaw) / math.pi
-            if max(abs(self.terrain.x - x), abs(self.terrain.y - y), abs(turned - round(turned))) > 1e-6:
-                raise ValueError(
-                    "Scene.terrain: expected x, y and yaw (or yaw + pi) of the astronaut, who lies on its patch"
-                )
-            sides = approach_sides(self.model)
-            if self.terrain.patch != ("lying" if len(sides) == 2 else "on_side"):
-                raise ValueError(f"Scene.terrain.patch: not that of {self.posture!r}: {self.terrain.patch!r}")
-            if len(sides) == 1 and round(turned) % 2 != (sides[0] < 0):
-                raise ValueError("Scene.terrain.yaw: the patch is turned to the back of who lies on a side")
+        self._check_ground()
         if not self.rocks:
             return
         c, s = math.cos(self.astronaut_yaw), math.sin(self.astronaut_yaw)
         away = np.array([(rock.x - x, rock.y - y) for rock in self.rocks]) @ np.array([[c, -s], [s, c]])
         between = away[:, None, :] - _footprint(self.model)
         nearest = np.sqrt(np.einsum("ijk,ijk->ij", between, between).min(axis=1)).tolist()
+        heights = self.terrain.height(*np.array([(rock.x, rock.y) for rock in self.rocks]).T).tolist()
         for index, rock in enumerate(self.rocks):
+            if abs(rock.ground - heights[index]) > 1e-6:
+                raise ValueError(f"Scene.rocks[{index}].ground: expected {heights[index]:g}, got {rock.ground!r}")
             if nearest[index] < 0.5 * rock.diameter:
                 raise ValueError(f"Scene.rocks[{index}]: lies in the astronaut")
             if math.hypot(rock.x - self.base_x, rock.y - self.base_y) < 0.5 * rock.diameter + BASE_RADIUS:
@@ -149,7 +170,7 @@ class Scene:
         """Read a scene back, bit for bit; ``ValueError`` names what is wrong."""
         try:
             raw = json.loads(text)
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"Scene: not JSON: {error}") from None
         fields = _checked_fields(raw, cls, "Scene", optional=("rocks", "terrain"))
         rocks = fields.get("rocks", [])
@@ -180,7 +201,7 @@ def _checked_fields(raw: Any, cls: type, where: str, optional: tuple[str, ...] =
 
 
 def _in_range(name: str, value: float, bounds: tuple[float, float]) -> None:
-    if not (math.isfinite(value) and bounds[0] <= value <= bounds[1]):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not bounds[0] <= value <= bounds[1]:
         raise ValueError(f"Scene.{name}: expected {bounds[0]:g} to {bounds[1]:g}, got {value!r}")
 
 
@@ -194,7 +215,7 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
 
     Args:
         seed: Any integer >= 0; its split (``lunar_rescue.splits``) decides about postures, masses, rocks and reliefs.
-        posture: Fix the posture.
+        posture: Fix the posture, whatever the split has.
         task: Fix the task; without a posture, one that has the task is drawn.
 
     Raises:

@@ -218,7 +218,10 @@ class Simulation:
         self._client.setGravity(*(-LUNAR_GRAVITY * up).tolist())
 
     def set_friction(self, coefficient: float, bodies: list[tuple[int, int]]) -> None:
-        """Set the Coulomb coefficient between any two surfaces; ``bodies`` are (handle, links) that stay."""
+        """Set the Coulomb coefficient between any two surfaces; ``bodies`` are (handle, links) that stay.
+
+        Of those the links get it, not the base: the robot's, which stands apart from all this, keeps its own.
+        """
         self.friction = coefficient
         self._set_friction(self.ground)
         for handle, links in bodies:

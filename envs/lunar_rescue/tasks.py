@@ -13,9 +13,9 @@ from lunar_rescue.astronaut import AstronautState
 
 Array = NDArray[np.float64]
 
-MAX_STEPS = 120  # phi_max: 12 s; the script needs 3 to 7 s
+MAX_STEPS = 120  # phi_max: 12 s; a planner needs less than half of them on average
 TARGET_RADIUS = 0.10  # m, an arm end is in its target area within this; the plate is 0.15 m wide
-LIFT_HEIGHT = 0.20  # m, transport height: over every rock of the work area (at most 0.19 m above ground)
+LIFT_HEIGHT = 0.20  # m, transport height: over the rocks of the work area
 # "Attitude kept": the long axis stays within LIFT_TILT of level as at rest, and the body rolls about it by less than
 # LIFT_ROLL, as a rigid body does when it settles into two arms. Beyond the second pair it has been dropped.
 LIFT_TILT, LIFT_ROLL = math.radians(30.0), math.radians(75.0)
@@ -98,7 +98,7 @@ class Lift(Task):
         return self.rise(state) >= LIFT_HEIGHT and self.tilt(state) <= LIFT_TILT and self.roll(state) <= LIFT_ROLL
 
     def contacts_right(self, contacts: Contacts) -> bool:
-        """Both arms carry and nothing else does."""
+        """Both arms carry and the ground does not."""
         return not contacts.ground and all(contacts.arms)
 
     def failure(self, state: AstronautState, process: int) -> str | None:

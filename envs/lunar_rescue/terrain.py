@@ -89,7 +89,7 @@ class Terrain:
         """Refuse a terrain that is malformed or out of range, naming the field."""
         if self.kind not in KINDS:
             raise ValueError(f"Scene.terrain.kind: expected one of {KINDS}, got {self.kind!r}")
-        if not (math.isfinite(self.slope) and 0.0 <= self.slope <= MAX_SLOPE):
+        if not _number(self.slope) or not 0.0 <= self.slope <= MAX_SLOPE:
             raise ValueError(f"Scene.terrain.slope: expected 0 to {MAX_SLOPE:g} deg, got {self.slope!r}")
         if self.kind == "smooth" and self.slope != 0.0:
             raise ValueError(f"Scene.terrain.slope: smooth ground is level, got {self.slope!r}")
@@ -99,7 +99,7 @@ class Terrain:
             raise ValueError(f"Scene.terrain.patch: expected one of {tuple(FLAT_ACROSS)}, got {self.patch!r}")
         for name in ("downhill", "x", "y", "yaw"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and abs(value) <= 100.0):
+            if not _number(value) or not -100.0 <= value <= 100.0:
                 raise ValueError(f"Scene.terrain.{name}: expected -100 to 100, got {value!r}")
 
     @property
@@ -127,6 +127,10 @@ class Terrain:
         across = (turns[:, 0] * dy - turns[:, 1] * dx) * inverse_radii[:, 1]
         caps = heights * (1.0 - along * along - across * across)
         return np.maximum(caps.max(axis=-1), 0.0)
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 SMOOTH = Terrain()

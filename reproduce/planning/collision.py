@@ -44,7 +44,7 @@ class CollisionChecker:
         by_name = {row[1]: row[0] for row in simulation.joint_table(self._env.robot.handle)}
         names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
         self._joints = [by_name[name] for name in names]
-        relief = getattr(simulation, "relief", None)
+        relief = simulation.relief
         self._grounds = [simulation.ground] + ([] if relief is None else [relief])
 
     def close(self) -> None:
