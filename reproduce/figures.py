@@ -40,7 +40,7 @@ def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
 
 def grounds(count: int = 4, first_seed: int = 0) -> Figure:
     """Unstructured ground: level, then rough from gentle to steep, with rocks."""
-    drawn = [sample_scene(first_seed + i) for i in range(60)]
+    drawn = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
     level = next(scene for scene in drawn if not scene.terrain.rough)
     rough = sorted((scene for scene in drawn if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
     steps = np.linspace(0, len(rough) - 1, count - 1).round().astype(int)
