@@ -1,9 +1,14 @@
 """From what a learner puts out to the environment's action, the same for every method that learns.
 
-Eq. 3 makes an action an absolute joint angle: holding still means repeating the present angles, and a network must know
-inverse kinematics of the whole workspace before anything works. Here a network puts out the *change* it wants, as a
-share of the most that the speed limit allows in a step, and Eq. 3's action is present angle plus change. It is the same
-action space, with a skip connection from the observed angles (measured: see the training log).
+Eq. 3 makes an action an absolute joint angle: holding still means repeating an angle, and a network must know inverse
+kinematics of the whole workspace before anything works. Here a network puts out the *change* that it wants, as a share
+of the most that the speed limit allows in a step, and Eq. 3's action is the previous action plus the change: the same
+action space, with a skip connection from a_{t-1}, which the observation holds and the paper gives to LLN.
+
+The change is not added to the present angle: an arm under load hangs a little behind its set-point, so a set-point that
+starts from the angle again in each step sinks, and a network had to push all the time to hold a body up (measured: see
+the training log). A previous action further ahead of the angle than a step can go is cut first, so that an arm which is
+blocked does not wind its set-point up.
 """
 
 from __future__ import annotations
@@ -28,5 +33,7 @@ _ANGLES = np.r_[
 
 def to_environment(observations: Floats, outputs: Floats) -> Floats:
     """Eq. 3's actions (n, 11) from flat observations (n, SIZE or more) and a network's outputs (n, 11) in [-1, 1]."""
-    wanted = observations[:, _ANGLES] + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)
+    angles = observations[:, _ANGLES]
+    held = np.clip(observations[:, SLICES["a_prev"]], angles - LARGEST_CHANGE, angles + LARGEST_CHANGE)
+    wanted = held + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)
     return np.clip(wanted, -1.0, 1.0).astype(np.float32)

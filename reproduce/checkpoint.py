@@ -20,7 +20,7 @@ from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.run_folder import read_tensors
 
 NAME = "checkpoint.safetensors"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ def save_checkpoint(folder: Path, learners: dict[str, SequencePPO], progress: Pr
         "progress": progress.__dict__,
         "config": config,
         "numpy_rng": {},
+        "rate_factor": {level: learner.rate_factor for level, learner in learners.items()},
     }
     for level, learner in learners.items():
         for name, tensor in learner.policy.state_dict().items():
@@ -74,6 +75,7 @@ def load_checkpoint(folder: Path, learners: dict[str, SequencePPO], config: dict
         for level, learner in learners.items():
             _restore(learner, level, tensors)
             learner.batch_rng.bit_generator.state = meta["numpy_rng"][level]
+            learner.rate_factor = float(meta["rate_factor"][level])
         th.set_rng_state(tensors["torch_rng"])
         return Progress(**meta["progress"])
     except (KeyError, TypeError, RuntimeError, ValueError) as error:

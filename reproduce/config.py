@@ -43,6 +43,12 @@ class LearnerConfig:
     """Steps through time in a gradient; ML-Agents' default is 64."""
     log_std_init: float = -1.1
     """Logarithm of the initial standard deviation; the equal of ML-Agents' clamp(x, -3, 3) / 3."""
+    final_log_std: float = 0.0
+    """The standard deviation's logarithm stays under a line from ``log_std_init`` to this; not under it if above."""
+    noise_share: float = 0.6
+    """Share of the steps at which that line has come down."""
+    desired_kl: float = 0.0
+    """Where positive, the learning rate follows the approximate KL of the last update, within the schedule's bounds."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,11 @@ class HierarchyConfig:
     """What SGN's six numbers mean: ``"each"`` moves each arm's sub-goal, ``"together"`` both at once and then apart."""
     pose_share: float = 0.0
     """Weight of the environment's approach term in INR during process 2; with 1 fewer arms got under (training log)."""
+    milestone_share: float = 0.1
+    """Weight in INR of the time bonus and the project's milestones. In full they are most of the variance of LLN's
+    returns, which end after N steps, and hide how well it follows its sub-goals (training log)."""
+    sgn_every: int = 2
+    """LLN's updates to one of SGN's: SGN decides once in N steps, and noise outweighs what few decisions teach."""
     warmup: float = 0.0
     """Share of the steps in which LLN alone learns, on sub-goals that the untrained SGN draws."""
 
@@ -66,6 +77,8 @@ class HierarchyConfig:
         """Refuse what makes no sense."""
         if self.subgoals not in MEANINGS:
             raise ValueError(f"subgoals: expected one of {MEANINGS}, got {self.subgoals!r}")
+        if isinstance(self.sgn_every, bool) or not isinstance(self.sgn_every, int) or self.sgn_every < 1:
+            raise ValueError(f"sgn_every: expected an integer >= 1, got {self.sgn_every!r}")
         if self.pose_share < 0.0:
             raise ValueError(f"pose_share: expected a number >= 0, got {self.pose_share!r}")
 
@@ -90,6 +103,8 @@ class TrainingConfig:
     """Weights of the environment's reward, which is EXR."""
     obstacle_reward: str = "aapf"
     """``"aapf"`` or, in the ablation, ``"contact"``."""
+    mirrored: bool = True
+    """Whether learners see scenes so that the astronaut's head is on arm A's side, see ``reproduce.mirror``."""
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -134,7 +149,9 @@ def _build(cls: type, raw: Any, where: str) -> Any:
 
 
 def _plain(value: Any, kind: str, where: str) -> Any:
-    wanted = {"int": (int,), "float": (int, float), "str": (str,), "ApproachForm": (str,)}[kind]
+    if kind == "bool" and isinstance(value, bool):
+        return value
+    wanted = {"bool": (), "int": (int,), "float": (int, float), "str": (str,), "ApproachForm": (str,)}[kind]
     finite = not isinstance(value, float) or math.isfinite(value)
     if isinstance(value, bool) or not isinstance(value, wanted) or not finite:
         raise ValueError(f"{where}: expected {kind}, got {value!r}")
@@ -142,16 +159,30 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=3_600_000,
-    low=LearnerConfig(learning_rate=2.5e-4, final_learning_rate=2.0e-5, gae_lambda=0.7, log_std_init=-0.8),
-    high=LearnerConfig(
-        learning_rate=2.0e-4,
+    steps=4_700_000,
+    checkpoint_every=24,
+    low=LearnerConfig(
+        n_steps=256,
+        batch_size=1024,
+        learning_rate=5.0e-4,
         final_learning_rate=2.0e-5,
-        batch_size=128,
-        sequence_length=16,
-        ent_coef=2.0e-4,
-        log_std_init=-1.8,
+        desired_kl=0.01,
+        gae_lambda=0.7,
+        log_std_init=-0.9,
+        final_log_std=-2.2,
     ),
+    high=LearnerConfig(
+        batch_size=256,
+        sequence_length=16,
+        learning_rate=1.0e-3,
+        final_learning_rate=2.0e-5,
+        desired_kl=0.015,
+        gae_lambda=0.9,
+        ent_coef=2.0e-4,
+        log_std_init=-1.4,
+        final_log_std=-2.5,
+    ),
+    reward=RewardWeights(failure=1.0),
 )
 
 #: Presets by name. ``laptop`` made the reference runs; ``paper`` has the paper's numbers where it gives them.

@@ -22,6 +22,7 @@ from lunar_rescue.splits import SPLITS
 from lunar_rescue.terrain import MAX_SLOPE, MOUND_RADIUS, MOUND_STEEPNESS, MOUNDS, ROUGH_SHARE
 from reproduce.claims import compute_claims
 from reproduce.files import write_text
+from reproduce.profiling import SHARES
 from reproduce.results import RESULTS, ROOT, runs_of
 from reproduce.tables import readable_table1
 
@@ -209,6 +210,36 @@ def _speed(b: dict[str, Any]) -> str:
     return text
 
 
+def training_block() -> str:
+    """The training part of bench."""
+    return _measured("bench.json", "reproduce bench --json results/bench.json", _training)
+
+
+def _training(b: dict[str, Any]) -> str:
+    rows = [
+        ("HRL-DCS, all in", f"{b['training_steps_per_s']:,.0f} steps/s"),
+        (
+            "the same with stock parts (`SubprocVecEnv`, sb3-contrib's `RecurrentPPO`)",
+            f"{b['stock_training_steps_per_s']:,.0f} steps/s",
+        ),
+        ("ratio", f"{b['training_ratio']:.1f}"),
+        ("our learner over the stock one, same rollout, batch and epochs", f"{b['learner_ratio']:.1f}"),
+    ]
+    return markdown_table(("", ""), rows)
+
+
+def profile_block() -> str:
+    """Where a second of training goes."""
+    return _measured("bench.json", "reproduce bench --json results/bench.json", _profile)
+
+
+def _profile(b: dict[str, Any]) -> str:
+    rows = [(what, f"{100 * b[f'profile_share_{key}']:.0f} %") for key, what in SHARES.items()]
+    text = markdown_table(("", "share"), rows)
+    one, two = b["profile_threads_1"], b["profile_threads_2"]
+    return text + f"\nThe whole training with one thread for PyTorch {one:,.0f} steps/s, with two {two:,.0f}.\n"
+
+
 def ground_block() -> str:
     """What kinds of ground cost."""
     return _measured("ground.json", "reproduce bench --part ground --json results/ground.json", _grounds)
@@ -267,6 +298,7 @@ PAGES: dict[str, dict[str, Callable[[], str]]] = {
         "solvable": solvable_block,
         "soak": soak_block,
     },
+    "docs/training.md": {"training": training_block, "profile": profile_block},
 }
 
 

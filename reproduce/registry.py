@@ -90,15 +90,22 @@ def _act_hierarchical(folder: Path) -> Policy:
     interval = read_policy_json(folder).get("interval")
     if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
         raise UserError(f"{folder / 'policy.json'}: interval: expected an integer >= 1, got {interval!r}")
-    subgoals = read_policy_json(folder).get("subgoals", "each")  # what it was before there was a choice
+    subgoals = read_policy_json(folder).get("subgoals")
     if subgoals not in MEANINGS:
         raise UserError(f"{folder / 'policy.json'}: subgoals: expected one of {MEANINGS}, got {subgoals!r}")
     networks = load_networks(folder, _TWO_LEVELS)
-    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval, subgoals)
+    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval, subgoals, _mirrored(folder))
 
 
 def _act_flat(folder: Path) -> Policy:
-    return FlatPolicy(load_networks(folder, _ONE_LEVEL)["policy"])
+    return FlatPolicy(load_networks(folder, _ONE_LEVEL)["policy"], _mirrored(folder))
+
+
+def _mirrored(folder: Path) -> bool:
+    mirrored = read_policy_json(folder).get("mirrored")
+    if not isinstance(mirrored, bool):
+        raise UserError(f"{folder / 'policy.json'}: mirrored: expected true or false, got {mirrored!r}")
+    return mirrored
 
 
 METHODS: dict[str, Method] = {
@@ -175,5 +182,7 @@ def export_policy(folder: Path, method: Method, training: Training) -> None:
         spec = NetworkSpec(*sizes[level], hidden_units=config.hidden_units, bounded_mean=level == "sgn")
         networks[level] = (spec, learner.policy)
     hierarchy = training.config.hierarchy
-    extra = {"interval": hierarchy.interval, "subgoals": hierarchy.subgoals} if "sgn" in networks else {}
+    extra: dict[str, Any] = {"mirrored": training.config.mirrored}
+    if "sgn" in networks:
+        extra |= {"interval": hierarchy.interval, "subgoals": hierarchy.subgoals}
     save_policy(folder, method.name, networks, extra)  # type: ignore[arg-type]

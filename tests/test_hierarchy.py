@@ -14,7 +14,7 @@ import pytest
 import torch as th
 
 from lunar_rescue import LunarRescueEnv, sample_scene
-from lunar_rescue.observation import SIZE
+from lunar_rescue.observation import SIZE, SLICES
 from reproduce.actions import LARGEST_CHANGE, to_environment
 from reproduce.config import PRESETS
 from reproduce.errors import UserError
@@ -24,13 +24,20 @@ from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     APART,
+    RAISED,
     REACH,
+    RISE,
+    RISE_APART,
+    RISEN,
     SUBGOAL_SIZE,
     Anchors,
+    achieved,
     arm_ends,
+    distances,
     entries,
     lln_observations,
     next_points,
+    slipped,
     targets,
 )
 from reproduce.methods.hrl_dcs import HierarchicalTraining
@@ -64,14 +71,49 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
         made.update(observation[None], np.array([True]))
     far = anchors.subgoals(np.full((1, SUBGOAL_SIZE), 9.0, np.float32))
     near = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))
-    assert far - near == pytest.approx(np.full((1, SUBGOAL_SIZE), REACH))
+    assert (far - near)[0] == pytest.approx([REACH[0]] * 6 + [RISE] * 2)
     assert pair.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32)) == pytest.approx(near)
-    moved = pair.subgoals(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0]], np.float32)) - near
-    assert moved[0] == pytest.approx([REACH, 0.0, -APART, REACH, 0.0, APART])
+    moved = pair.subgoals(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.5, 1.0]], np.float32)) - near
+    rises = [0.5 * RISE + RISE_APART, 0.5 * RISE - RISE_APART]
+    assert moved[0] == pytest.approx([REACH[0], 0.0, -APART, REACH[0], 0.0, APART, *rises])
     with pytest.raises(ValueError, match="subgoals"):
         Anchors(1, "neither")
     view = lln_observations(observation[None], near, np.ones(1, np.float32))
-    assert view[0, SIZE + 6 : SIZE + 12] == pytest.approx(near[0] - arm_ends(observation[None])[0])
+    assert view[0, SIZE : SIZE + SUBGOAL_SIZE] == pytest.approx(near[0])
+    way = near - achieved(observation[None])
+    assert view[0, SIZE + SUBGOAL_SIZE : SIZE + 2 * SUBGOAL_SIZE] == pytest.approx(way[0])
+    both = np.hypot(np.linalg.norm(way[0, :6].reshape(2, 3), axis=1), way[0, 6:])
+    assert distances(observation[None], near)[0] == pytest.approx(both)
+
+
+def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: LunarRescueEnv) -> None:
+    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight")})
+    row, start, zero = first[None], np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
+    goals = targets(row)
+    ends = np.r_[
+        SLICES["P_A"].start + 15 : SLICES["P_A"].start + 18, SLICES["P_B"].start + 15 : SLICES["P_B"].start + 18
+    ]
+    under = row.copy()
+    under[0, SLICES["phase"].start], under[0, ends] = 1.0, goals[0]
+    anchors = Anchors(1, "together")
+    anchors.update(row, start)
+    anchors.update(under, ~start)
+    raised = anchors.subgoals(zero)
+    assert raised[0, :6] - goals[0] == pytest.approx([0, 0, RAISED] * 2, abs=1e-5)
+    assert raised[0, 6:] == pytest.approx([RISEN] * 2)
+    assert (anchors.subgoals(np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - raised)[0, 0] == pytest.approx(REACH[1])
+    lifted = under.copy()
+    lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # the anchor stays where process 2 began
+    anchors.update(lifted, ~start)
+    assert anchors.subgoals(zero) == pytest.approx(raised)
+    off = under.copy()
+    off[0, ends[2]] = first[SLICES["P_P"].start + 2] + 0.1  # arm A above the centre of gravity
+    anchors.update(off, ~start)
+    assert slipped(off)[0] and not slipped(under)[0]
+    assert anchors.subgoals(zero)[0, :6] == pytest.approx(next_points(off)[0])
+    turning = off.copy()
+    turning[0, SLICES["I"]] = [0.0, 1.0]
+    assert not slipped(turning)[0]
 
 
 def test_zero_output_holds_the_arms_still(env: LunarRescueEnv) -> None:
@@ -141,7 +183,7 @@ def _networks() -> tuple[RecurrentNetwork, RecurrentNetwork]:
 def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) -> None:
     first, _ = env.reset_flat(options={"scene": sample_scene(1)})
     row, start = first[None], np.array([True])
-    policy = HierarchicalPolicy(*_networks(), 5, "together")
+    policy = HierarchicalPolicy(*_networks(), 5, "together", mirrored=False)
     before = policy.act(row, start)
     seen = {}
     for name in ABLATIONS:

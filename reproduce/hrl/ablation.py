@@ -12,7 +12,7 @@ from torch import nn
 
 from reproduce.errors import UserError
 from reproduce.hrl.policy import HierarchicalPolicy
-from reproduce.hrl.subgoals import targets
+from reproduce.hrl.subgoals import ENDS_SIZE, SUBGOAL_SIZE, targets
 from reproduce.policy import Observations, Policy
 
 
@@ -20,8 +20,8 @@ class FixedTarget(HierarchicalPolicy):
     """SGN replaced by a fixed sub-goal: the target areas themselves."""
 
     def command(self, observations: Observations, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """The target areas P_G."""
-        return targets(observations)[rows]
+        """The target areas P_G, plates level."""
+        return np.pad(targets(observations)[rows], ((0, 0), (0, SUBGOAL_SIZE - ENDS_SIZE)))
 
 
 class AnchorsAlone(HierarchicalPolicy):
@@ -33,7 +33,7 @@ class AnchorsAlone(HierarchicalPolicy):
 
 
 def _as(kind: type[HierarchicalPolicy]) -> Callable[[HierarchicalPolicy], HierarchicalPolicy]:
-    return lambda policy: kind(*policy.networks, policy.interval, policy.meaning)
+    return lambda policy: kind(*policy.networks, policy.interval, policy.meaning, policy.mirrored)
 
 
 def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
@@ -44,7 +44,7 @@ def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
     for module in fresh.modules():
         if isinstance(module, nn.Linear | nn.LSTM):
             module.reset_parameters()
-    return HierarchicalPolicy(sgn, fresh, policy.interval, policy.meaning)
+    return HierarchicalPolicy(sgn, fresh, policy.interval, policy.meaning, policy.mirrored)
 
 
 ABLATIONS: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = {

@@ -24,17 +24,18 @@ from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, arm_ends, in_process_2, lln_observations
+from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, distances, in_process_2, lln_observations
 from reproduce.learners.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
-from reproduce.sampling import TERMS, WorkerVecEnv
+from reproduce.mirror import Environments
+from reproduce.sampling import TERMS
 
 SUBGOAL_SPACE = spaces.Box(-1.0, 1.0, (SUBGOAL_SIZE,), np.float32)
 LLN_SPACE = spaces.Box(-np.inf, np.inf, (LLN_SIZE,), np.float32)
 APPROACH = TERMS.index("approach")
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [
-    TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")
-]
+SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion")]
+#: Terms that come once an episode, of which INR has a share.
+MILESTONES = [TERMS.index(name) for name in ("time_bonus", "both_arms_under", "failure")]
 
 
 @dataclass
@@ -93,9 +94,11 @@ class Recorder:
 class SubGoalVecEnv(VecEnvWrapper):
     """LLN's environment; see the module."""
 
+    venv: Environments
+
     def __init__(
         self,
-        venv: WorkerVecEnv,
+        venv: Environments,
         sgn: RecurrentNetwork,
         interval: int,
         beta: float,
@@ -103,6 +106,7 @@ class SubGoalVecEnv(VecEnvWrapper):
         sgn_gamma: float,
         subgoals: str,
         pose_share: float,
+        milestone_share: float,
         deterministic: bool = False,
     ) -> None:
         """Wrap environments.
@@ -116,13 +120,14 @@ class SubGoalVecEnv(VecEnvWrapper):
             sgn_gamma: SGN's discount, for values at the step limit.
             subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
             pose_share: Weight of the environment's approach term in INR during process 2.
+            milestone_share: Weight in INR of what comes once an episode.
             deterministic: Whether SGN commands its mean.
         """
         super().__init__(venv, observation_space=LLN_SPACE)
         self._sgn, self._interval, self._beta, self._form = sgn, interval, beta, form
-        self._gamma, self._pose_share, self._deterministic = sgn_gamma, pose_share, deterministic
+        self._gamma, self._pose_share, self._milestone_share = sgn_gamma, pose_share, milestone_share
+        self._deterministic = deterministic
         count = venv.num_envs
-        self._terms = venv.terms
         self._anchors = Anchors(count, subgoals)
         self.recorder = Recorder([[] for _ in range(count)])
         self.subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
@@ -138,7 +143,7 @@ class SubGoalVecEnv(VecEnvWrapper):
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
-        observations: Floats = self.venv.reset()  # type: ignore[assignment]
+        observations: Floats = self.venv.reset()
         self.recorder = Recorder([[] for _ in range(self.num_envs)])
         self._returns[:] = 0.0
         everything = np.ones(self.num_envs, bool)
@@ -172,8 +177,7 @@ class SubGoalVecEnv(VecEnvWrapper):
         return lln_observations(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
 
     def _distances(self, observations: Floats) -> Floats:
-        way = (arm_ends(observations) - self.subgoals).reshape(-1, 2, 3)
-        return np.sqrt(np.einsum("nak,nak->na", way, way)) + np.float32(SMALLEST_ERROR)
+        return distances(observations, self.subgoals) + np.float32(SMALLEST_ERROR)
 
     def _internal_reward(self, observations: Floats) -> Floats:
         """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment.
@@ -184,8 +188,10 @@ class SubGoalVecEnv(VecEnvWrapper):
         distance = self._distances(observations)
         gain = np.exp(self._best - distance) - (1.0 if self._form == "signed" else 0.0)
         self._best = distance  # D_m of the last step, as in the environment's own reward
-        pose = self._pose_share * self._terms[:, APPROACH] * in_process_2(observations)
-        inr: Floats = self._beta * gain.mean(axis=1) + self._terms[:, SHARED_TERMS].sum(axis=1) + pose
+        pose = self._pose_share * self.venv.terms[:, APPROACH] * in_process_2(observations)
+        terms = self.venv.terms
+        shared = terms[:, SHARED_TERMS].sum(axis=1) + self._milestone_share * terms[:, MILESTONES].sum(axis=1)
+        inr: Floats = self._beta * gain.mean(axis=1) + shared + pose
         return inr.astype(np.float32)
 
     def _credit(

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.hrl.subgoals import SUBGOAL_SIZE, Anchors, lln_observations
+from reproduce.hrl.subgoals import ENDS_SIZE, SUBGOAL_SIZE, Anchors, lln_observations
+from reproduce.mirror import Mirror
 from reproduce.policy import Actions, Observations
 
 
@@ -47,7 +48,13 @@ class HierarchicalPolicy:
     """SGN every N steps, LLN every step (deterministic unless told otherwise)."""
 
     def __init__(
-        self, sgn: RecurrentNetwork, lln: RecurrentNetwork, interval: int, subgoals: str, deterministic: bool = True
+        self,
+        sgn: RecurrentNetwork,
+        lln: RecurrentNetwork,
+        interval: int,
+        subgoals: str,
+        mirrored: bool = True,
+        deterministic: bool = True,
     ) -> None:
         """Keep the networks.
 
@@ -56,15 +63,18 @@ class HierarchicalPolicy:
             lln: Low level.
             interval: N.
             subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
+            mirrored: Whether the networks see scenes through ``reproduce.mirror``.
             deterministic: Whether both act by their means.
         """
         self.networks = (sgn, lln)
-        self.interval, self.meaning, self._deterministic = interval, subgoals, deterministic
+        self.interval, self.meaning, self.mirrored = interval, subgoals, mirrored
+        self._deterministic = deterministic
         self._count = 0
 
     def _begin(self, count: int) -> None:
         self._count = count
         self._sgn, self._lln = (Memory(network, count) for network in self.networks)
+        self._mirror = Mirror(count)
         self._anchors = Anchors(count, self.meaning)
         self._left = np.zeros(count, np.int64)
         self._subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
@@ -73,6 +83,9 @@ class HierarchicalPolicy:
         """See ``Policy.act``."""
         if len(observations) != self._count:
             self._begin(len(observations))
+        if self.mirrored:
+            self._mirror.begin(observations, starts)
+        observations = self._mirror.observations(observations)
         self._sgn.forget(starts)
         self._lln.forget(starts)
         self._left[starts] = 0
@@ -84,25 +97,25 @@ class HierarchicalPolicy:
         view = lln_observations(observations, self._subgoals, (self._left / self.interval).astype(np.float32))
         self._left -= 1
         outputs = self._lln.act(view, np.arange(len(observations)), self._deterministic)
-        return to_environment(observations, outputs)
+        return self._mirror.actions(to_environment(observations, outputs))
 
     def command(self, observations: Observations, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """New sub-goals (len(rows), 6) [m] of some of the environments, by SGN."""
+        """New sub-goals (len(rows), SUBGOAL_SIZE) [m] of some of the environments, by SGN."""
         outputs = np.zeros_like(self._subgoals)
         outputs[rows] = self._sgn.act(observations[rows], rows, self._deterministic)
         return self._anchors.subgoals(outputs)[rows]
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """The sub-goals in the base frame, (n, 2, 3) [m]."""
-        return {"sub-goal": self._subgoals.reshape(-1, 2, 3).copy()}
+        return {"sub-goal": self._mirror.points(self._subgoals[:, :ENDS_SIZE].reshape(-1, 2, 3))}
 
 
 class FlatPolicy:
     """One recurrent network, acting every step."""
 
-    def __init__(self, network: RecurrentNetwork, deterministic: bool = True) -> None:
-        """Keep the network."""
-        self._network, self._deterministic = network, deterministic
+    def __init__(self, network: RecurrentNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
+        """Keep the network; see ``HierarchicalPolicy``."""
+        self._network, self._mirrored, self._deterministic = network, mirrored, deterministic
         self._memory: Memory | None = None
         self._count = 0
 
@@ -110,9 +123,13 @@ class FlatPolicy:
         """See ``Policy.act``."""
         if self._memory is None or len(observations) != self._count:
             self._memory, self._count = Memory(self._network, len(observations)), len(observations)
+            self._mirror = Mirror(self._count)
+        if self._mirrored:
+            self._mirror.begin(observations, starts)
+        observations = self._mirror.observations(observations)
         self._memory.forget(starts)
         outputs = self._memory.act(observations, np.arange(len(observations)), self._deterministic)
-        return to_environment(observations, outputs)
+        return self._mirror.actions(to_environment(observations, outputs))
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Nothing to draw."""

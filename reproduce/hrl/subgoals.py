@@ -1,13 +1,17 @@
 """Sub-goals: the one metric space in which SGN commands and LLN obeys (section 2.2, point 2).
 
-A sub-goal is a wanted position of the two arm ends in the robot's base frame. SGN's tanh-bounded output moves it by at
-most ``REACH`` from an anchor. In process 1 that is, for each arm, the entry before the body while its end is high, and
-the target area once it is low; in process 2 it is the target area as it was when both arms had got under. With the
-target areas alone as anchors an untrained SGN sends the arms straight at them and onto the body, and learning starts in
-a trap (tried, see the training log).
+A sub-goal is a wanted place of the two arms in the robot's base frame: the positions of their ends and, per arm, the
+rise of the plate, by which its end lies above its wrist. Plates that slope the wrong way let the body slide off, which
+no position of an end can tell.
 
-What the six numbers mean is a choice, ``MEANINGS``: a displacement of each arm's sub-goal, or one of both together and
-one of the two apart. The arms have to work together on one body, and with the second SGN's exploration moves them so.
+SGN's tanh-bounded output moves them from an anchor, the ends by at most ``REACH``. In process 1 the anchor is, for each
+arm, the entry before the body while its end is high, and the target area once it is low. In process 2 it is ``RAISED``
+over the target area as it was when both arms had got under, with plates a little risen; where a body that is to be
+lifted has slid off, it is the way in again. With the targets as anchors from the beginning, an untrained SGN sends the
+arms straight at them and onto the body, and learning starts in a trap (tried, see the training log).
+
+What the numbers mean is a choice, ``MEANINGS``: a displacement of each arm's sub-goal, or one of both together and one
+of the two apart. The arms have to work together on one body, and with the second SGN's exploration moves them so.
 """
 
 from __future__ import annotations
@@ -20,22 +24,47 @@ from lunar_rescue.observation import SIZE, SLICES
 
 Floats = NDArray[np.float32]
 
-SUBGOAL_SIZE = 6  # two arm ends in three dimensions
-REACH = 0.6  # m, furthest that SGN moves a sub-goal from its anchor along each axis, or both together
-APART = 0.25  # m, furthest that it moves either of them away from their common displacement, along each axis
+ENDS_SIZE = 6  # two arm ends in three dimensions
+SUBGOAL_SIZE = ENDS_SIZE + 2  # and the rise of two plates
+#: Furthest that SGN moves a sub-goal from its anchor along each axis, or both together, in process 1 and 2 [m]. In
+#: process 1 anchors lie on the way and corrections are small; in process 2 the body has to be taken along.
+REACH = (0.25, 0.8)
+#: Furthest that it moves either of them away from their common displacement, along each axis [m].
+APART = 0.12
+RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
+RISE_APART = 0.05  # m, furthest that one plate's rise moves away from that of both together
+RISEN = 0.04  # m, rise of the plates in the anchors of process 2: a body slides off level plates
+RAISED = 0.25  # m, height of the anchors of process 2 over the target areas: a little over the transport height
+SLIPPED = 0.40  # m, an end further than this from its target area, or above the centre of gravity, carries no body
 MEANINGS = ("each", "together")
 LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
 
 _END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
 _END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
+_UP = np.array([0.0, 0.0, 1.0] * 2, np.float32)
+_UP_A, _UP_B = SLICES["P_A"].start + 20, SLICES["P_B"].start + 20  # height of the unit vector along a plate
 _TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
 _TO_ENTRIES = slice(SLICES["P_G"].start + 12, SLICES["P_G"].start + 18)
+_LIFT = SLICES["I"].start
 _PROCESS_2 = SLICES["phase"].start
+_CENTRE_Z = SLICES["P_P"].start + 2  # of the centre of gravity
 
 
 def arm_ends(observations: Floats) -> Floats:
     """The two arm ends from flat observations (n, SIZE), as (n, 6) [m]."""
     return np.concatenate([observations[:, _END_A], observations[:, _END_B]], axis=1)
+
+
+def achieved(observations: Floats) -> Floats:
+    """Where the arms are in the space of sub-goals: ends, then the rise of each plate, (n, SUBGOAL_SIZE) [m]."""
+    return np.concatenate([arm_ends(observations), RISE * observations[:, [_UP_A, _UP_B]]], axis=1)
+
+
+def distances(observations: Floats, subgoals: Floats) -> Floats:
+    """Of each arm to its sub-goal, over end and rise, (n, 2) [m]."""
+    way = achieved(observations) - subgoals
+    squares: Floats = np.einsum("nak,nak->na", *[way[:, :ENDS_SIZE].reshape(-1, 2, 3)] * 2) + way[:, ENDS_SIZE:] ** 2
+    return np.sqrt(squares)
 
 
 def targets(observations: Floats) -> Floats:
@@ -60,9 +89,17 @@ def in_process_2(observations: Floats) -> NDArray[np.bool_]:
     return observations[:, _PROCESS_2] > 0.5
 
 
+def slipped(observations: Floats) -> NDArray[np.bool_]:
+    """Whether a body that is to be lifted has slid off an arm, (n,)."""
+    ends = arm_ends(observations).reshape(-1, 2, 3)
+    way = ends - targets(observations).reshape(-1, 2, 3)
+    off = (np.linalg.norm(way, axis=2) > SLIPPED) | (ends[:, :, 2] > observations[:, _CENTRE_Z, None])
+    return off.any(axis=1) & (observations[:, _LIFT] > 0.5)
+
+
 def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
     """What LLN sees: s_t (with a_{t-1}), the sub-goal, the way to it and the share of N steps left, (n, LLN_SIZE)."""
-    way = subgoals - arm_ends(observations)
+    way = subgoals - achieved(observations)
     return np.concatenate([observations, subgoals, way, remaining[:, None]], axis=1).astype(np.float32)
 
 
@@ -79,21 +116,30 @@ class Anchors:
         if meaning not in MEANINGS:
             raise ValueError(f"subgoals: expected one of {MEANINGS}, got {meaning!r}")
         self._together = meaning == "together"
-        self._kept = np.zeros((count, SUBGOAL_SIZE), np.float32)
-        self._was_2 = np.zeros(count, bool)
+        self._kept = np.zeros((count, ENDS_SIZE), np.float32)
+        self._carried = np.zeros(count, bool)
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
-        """Follow the entries in process 1, stay where the targets were when process 2 began."""
-        now_2 = in_process_2(observations)
-        begins_2 = now_2 & (starts | ~self._was_2)
-        self._kept[~now_2] = next_points(observations)[~now_2]
-        self._kept[begins_2] = targets(observations)[begins_2]
-        self._was_2 = now_2
+        """Follow the way in during process 1, and again where the body slid off; else stay raised over the targets."""
+        carries = in_process_2(observations) & ~slipped(observations)
+        begins = carries & (starts | ~self._carried)
+        self._kept[~carries] = next_points(observations)[~carries]
+        self._kept[begins] = targets(observations)[begins] + _UP * RAISED
+        self._carried = carries
 
     def subgoals(self, outputs: Floats) -> Floats:
-        """Positions (n, 6) [m] commanded by SGN's outputs (n, 6) in [-1, 1]."""
+        """Sub-goals (n, SUBGOAL_SIZE) [m] commanded by SGN's outputs (n, SUBGOAL_SIZE) in [-1, 1]."""
         moved: Floats = np.clip(outputs, -1.0, 1.0)
+        ends, rises = moved[:, :ENDS_SIZE], moved[:, ENDS_SIZE:]
+        reach = np.where(self._carried, REACH[1], REACH[0]).astype(np.float32)[:, None]
         if self._together:
-            common, apart = REACH * moved[:, :3], APART * moved[:, 3:]
-            return self._kept + np.concatenate([common + apart, common - apart], axis=1)
-        return self._kept + REACH * moved
+            ends = np.concatenate(_both(reach * ends[:, :3], APART * ends[:, 3:]), axis=1)
+            rises = np.concatenate(_both(RISE * rises[:, :1], RISE_APART * rises[:, 1:]), axis=1)
+        else:
+            ends, rises = reach * ends, RISE * rises
+        rises = rises + (RISEN * self._carried[:, None]).astype(np.float32)
+        return np.concatenate([self._kept + ends, rises], axis=1)
+
+
+def _both(common: Floats, apart: Floats) -> list[Floats]:
+    return [common + apart, common - apart]

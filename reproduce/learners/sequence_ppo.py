@@ -19,21 +19,37 @@ from torch.nn import functional
 from reproduce.learners.sequences import Minibatch, Rollout, minibatches, sequence_bounds
 from reproduce.learners.standardiser import Standardiser
 
+RATE_STEP = 1.2  # by which the learning rate changes after an update, where it follows the KL
+LEAST_FACTOR = 1.0 / 30.0
+
 
 class SequencePPO(RecurrentPPO):
     """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM."""
 
-    def __init__(self, *args: Any, sequence_length: int = 32, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        sequence_length: int = 32,
+        log_std_line: tuple[float, float, float] | None = None,
+        desired_kl: float = 0.0,
+        **kwargs: Any,
+    ) -> None:
         """As RecurrentPPO.
 
         Args:
             *args: See ``RecurrentPPO``.
             sequence_length: Most steps that the gradient flows back through time.
+            log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
+                and the share of the training at which it has come down.
+            desired_kl: Where positive, the learning rate is the schedule's times a factor in [1 / 30, 1] that falls
+                when an update's approximate KL is over twice this and rises when it is under half.
             **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
         """
         if sequence_length < 1:
             raise ValueError(f"sequence_length: expected at least 1, got {sequence_length!r}")
         self.sequence_length = sequence_length
+        self.log_std_line, self.desired_kl = log_std_line, desired_kl
+        self.rate_factor = 1.0
         #: Set to train on transitions that were collected elsewhere (the high level collects in its wrapper).
         self.external_rollout: Rollout | None = None
         #: After which steps returns are cut although the episode and the memory go on, (n_steps, n_envs).
@@ -85,6 +101,8 @@ class SequencePPO(RecurrentPPO):
         """Take ``n_epochs`` passes over the rollout; losses as in RecurrentPPO."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
+        for group in self.policy.optimizer.param_groups:
+            group["lr"] *= self.rate_factor
         rollout = self.rollout()
         tensors = {
             name: th.from_numpy(getattr(rollout, name))
@@ -105,8 +123,27 @@ class SequencePPO(RecurrentPPO):
                 self._n_updates += 1
                 continue
             break
+        self._limit_noise()
         self._observe(rollout)
         self._record(rollout, logs)
+        if self.desired_kl > 0.0:
+            self._follow_kl(float(np.mean([log["approx_kl"] for log in logs])))
+
+    @th.no_grad()
+    def _limit_noise(self) -> None:
+        """Keep exploration under its line; what is learnt below it stays."""
+        if self.log_std_line is not None:
+            first, last, share = self.log_std_line
+            gone = min(1.0, (1.0 - self._current_progress_remaining) / share)
+            if last < first:
+                self.policy.log_std.clamp_(max=first + gone * (last - first))
+
+    def _follow_kl(self, kl: float) -> None:
+        """A fixed rate makes steps that are too large once exploration is small."""
+        if kl > 2.0 * self.desired_kl:
+            self.rate_factor = max(self.rate_factor / RATE_STEP, LEAST_FACTOR)
+        elif kl < 0.5 * self.desired_kl:
+            self.rate_factor = min(self.rate_factor * RATE_STEP, 1.0)
 
     def _observe(self, rollout: Rollout) -> None:
         """Let standardisers see the rollout, after training, so that its log probabilities stay what they were."""

@@ -22,7 +22,13 @@ def make_learner(
     env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
 ) -> Any:
     """One recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
-    own = {"sequence_length": config.sequence_length} if issubclass(kind, SequencePPO) else {}
+    own: dict[str, Any] = {}
+    if issubclass(kind, SequencePPO):
+        own = {
+            "sequence_length": config.sequence_length,
+            "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
+            "desired_kl": config.desired_kl,
+        }
     learner = kind(
         RecurrentNetwork,
         env,
@@ -45,7 +51,7 @@ def make_learner(
         },
         seed=seed,
         device="cpu",
-        **own,  # type: ignore[arg-type]
+        **own,
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
@@ -54,7 +60,9 @@ def make_learner(
 def sub_goal_view(venv: Any, sgn: RecurrentNetwork, config: TrainingConfig) -> SubGoalVecEnv:
     """LLN's view of environments in which ``sgn`` sets the sub-goals."""
     h = config.hierarchy
-    return SubGoalVecEnv(venv, sgn, h.interval, h.beta, h.form, config.high.gamma, h.subgoals, h.pose_share)
+    return SubGoalVecEnv(
+        venv, sgn, h.interval, h.beta, h.form, config.high.gamma, h.subgoals, h.pose_share, h.milestone_share
+    )
 
 
 class HierarchicalTraining(RecurrentTraining):
@@ -75,9 +83,14 @@ class HierarchicalTraining(RecurrentTraining):
         self.collect(done)
         self.lln.return_cuts = np.array(self.env.cuts)
         self.lln.train()
+        if (done // self.steps_per_update + 1) % self.config.hierarchy.sgn_every == 0:
+            self._train_sgn(done)
+        return self.row()
+
+    def _train_sgn(self, done: int) -> None:
+        """On what it decided since the last time."""
         high = self.config.high
         rollout = self.env.recorder.rollout(high.gamma, high.gae_lambda, high.sequence_length)
         if rollout is not None and done >= self.config.hierarchy.warmup * self.config.steps:
             self.sgn.external_rollout = rollout
             self.sgn.train()
-        return self.row()

@@ -13,13 +13,15 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from reproduce.config import TrainingConfig
 from reproduce.learners.sequence_ppo import SequencePPO
+from reproduce.mirror import Environments, MirroredVecEnv
 from reproduce.sampling import EnvOptions, WorkerVecEnv
 
 
-def make_environments(config: TrainingConfig, seed: int) -> WorkerVecEnv:
-    """The environments of a training."""
+def make_environments(config: TrainingConfig, seed: int) -> Environments:
+    """The environments of a training, as learners see them."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
-    return WorkerVecEnv(config.n_envs, seed, EnvOptions(arguments))
+    venv = WorkerVecEnv(config.n_envs, seed, EnvOptions(arguments))
+    return MirroredVecEnv(venv) if config.mirrored else venv
 
 
 def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
@@ -66,7 +68,7 @@ class RecurrentTraining:
     """
 
     def __init__(
-        self, config: TrainingConfig, venv: WorkerVecEnv, env: Any, collector: Any, learners: dict[str, SequencePPO]
+        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: dict[str, SequencePPO]
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
         self.config, self.venv, self.env, self.learners = config, venv, env, learners

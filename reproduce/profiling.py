@@ -1,0 +1,124 @@
+"""Where a second of HRL-DCS's training goes, and how many threads its learners want.
+
+A training runs as it always does; the calls that make up a second are timed from outside, a nested call is taken off
+the one around it, so the shares add up to one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from statistics import median
+from typing import Any
+
+import torch as th
+
+from reproduce.config import PRESETS, TrainingConfig
+from reproduce.methods.hrl_dcs import HierarchicalTraining
+from reproduce.training import THREADS
+
+FIRST_UPDATES = 2  # fill caches; not counted
+THREADS_TRIED = (1, 2)
+
+#: What a second is made of, in the order of a table: key and what it is.
+SHARES = {
+    "environments": "waiting for the workers, which step and reset the environments",
+    "lln_acts": "LLN chooses actions and values them",
+    "sgn_acts": "SGN chooses sub-goals and values them",
+    "hierarchy": "INR, sub-goals, mirrored views, SGN's transitions",
+    "collecting": "the rest of SB3's collection: buffers, copies, advantages",
+    "lln_learns": "LLN's epochs",
+    "sgn_learns": "SGN's epochs",
+}
+
+
+class Clock:
+    """Times calls by name; time inside a nested timed call counts for that one alone."""
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self._inner: list[float] = []
+
+    def time(self, owner: Any, method: str, name: str) -> None:
+        """Time every call of a method of one object from now on."""
+        called: Callable[..., Any] = getattr(owner, method)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            self._inner.append(0.0)
+            begun = time.perf_counter()
+            try:
+                return called(*args, **kwargs)
+            finally:
+                whole = time.perf_counter() - begun
+                self.seconds[name] += whole - self._inner.pop()
+                if self._inner:
+                    self._inner[-1] += whole
+
+        setattr(owner, method, timed)
+
+
+def where_a_second_goes(updates: int, config: TrainingConfig | None = None) -> dict[str, Any]:
+    """Run some updates of a training.
+
+    Args:
+        updates: How many are counted; two more come before.
+        config: Of the training; the laptop preset's by default.
+
+    Returns:
+        Share of the time of each of ``SHARES``, and steps a second.
+    """
+    config = config or PRESETS["laptop"]
+    clock = Clock()
+    with closing(HierarchicalTraining(config, 0)) as training:
+        workers = getattr(training.venv, "venv", training.venv)
+        clock.time(workers, "step_async", "environments")
+        clock.time(workers, "step_wait", "environments")
+        clock.time(training.lln.policy, "forward", "lln_acts")
+        clock.time(training.sgn.policy, "forward", "sgn_acts")
+        clock.time(training.sgn.policy, "predict_values", "sgn_acts")
+        clock.time(training.env, "step", "hierarchy")
+        clock.time(training.lln, "collect_rollouts", "collecting")
+        clock.time(training.lln, "train", "lln_learns")
+        clock.time(training.sgn, "train", "sgn_learns")
+        for update in range(FIRST_UPDATES):
+            training.update(update * training.steps_per_update)
+        clock.seconds.clear()
+        begun = time.perf_counter()
+        for update in range(updates):
+            training.update((FIRST_UPDATES + update) * training.steps_per_update)
+        whole = time.perf_counter() - begun
+        rate = updates * training.steps_per_update / whole
+    named = sum(clock.seconds.values())
+    shares = {key: round(clock.seconds[key] / whole, 4) for key in SHARES}
+    return {"steps_per_s": round(rate, 1), "shares": {**shares, "other": round(1.0 - named / whole, 4)}}
+
+
+def threads_for_learners(rounds: int, config: TrainingConfig | None = None) -> dict[str, float]:
+    """Steps a second of the whole training with so many threads for PyTorch, one update each in turn; medians."""
+    config = replace(config or PRESETS["laptop"], steps=10**9)
+    rates: dict[int, list[float]] = {threads: [] for threads in THREADS_TRIED}
+    with closing(HierarchicalTraining(config, 0)) as training:
+        for update in range(FIRST_UPDATES):
+            training.update(update * training.steps_per_update)
+        try:
+            for _ in range(rounds):
+                for threads in THREADS_TRIED:
+                    th.set_num_threads(threads)
+                    begun = time.perf_counter()
+                    training.update(0)
+                    rates[threads].append(training.steps_per_update / (time.perf_counter() - begun))
+        finally:
+            th.set_num_threads(THREADS)
+    return {f"threads_{threads}": round(median(found), 1) for threads, found in rates.items()}
+
+
+def measure_profile(rounds: int, steps: int) -> dict[str, Any]:
+    """What ``bench --part profile`` measures; ``rounds`` updates of each kind."""
+    th.set_num_threads(THREADS)
+    found = where_a_second_goes(rounds)
+    shares = {f"share_{name}": share for name, share in found.pop("shares").items()}
+    return {f"profile_{name}": value for name, value in {**found, **shares, **threads_for_learners(rounds)}.items()}
