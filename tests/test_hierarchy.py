@@ -126,9 +126,12 @@ def test_zero_output_holds_the_arms_still(env: LunarRescueEnv) -> None:
     assert action - before == pytest.approx(np.full(11, LARGEST_CHANGE), abs=1e-5)
 
 
-def test_both_layers_learn_from_one_rollout(training: HierarchicalTraining) -> None:
+def test_both_layers_learn_from_the_same_steps(training: HierarchicalTraining) -> None:
     before = {name: [p.detach().clone() for p in one.policy.parameters()] for name, one in training.learners.items()}
-    row = training.update(0)
+    for update in range(training.config.hierarchy.sgn_every):
+        row = training.update(update * training.steps_per_update)
+        learnt = not th.equal(before["sgn"][0], next(iter(training.sgn.policy.parameters())))
+        assert learnt == (update + 1 == training.config.hierarchy.sgn_every)
     for name, learner in training.learners.items():
         changed = [not th.equal(a, b) for a, b in zip(before[name], learner.policy.parameters(), strict=True)]
         assert all(changed), name
@@ -263,9 +266,9 @@ def test_a_dead_worker_is_an_error_and_not_a_hang() -> None:
 
 @pytest.mark.slow
 def test_hrl_dcs_learns_to_get_both_arms_under(tmp_path: object) -> None:
-    """The reference run passes 30 % within 100,000 steps; untrained networks and random actions stay at 0 %."""
+    """Trials had 50 % of arms under by 250,000 steps; untrained networks and random actions stay at 0 %."""
     from pathlib import Path
 
-    config = replace(PRESETS["laptop"], steps=150_000)
+    config = replace(PRESETS["laptop"], steps=250_000)
     curve = train(METHODS["hrl_dcs"], config, 1, Path(str(tmp_path)) / "run", "laptop", quiet=True)
-    assert curve["both_arms_under"].tail(15).mean() > 0.25
+    assert curve["both_arms_under"].tail(12).mean() > 0.3
