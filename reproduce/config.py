@@ -159,7 +159,7 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=4_700_000,
+    steps=3_400_000,
     checkpoint_every=24,
     low=LearnerConfig(
         n_steps=256,

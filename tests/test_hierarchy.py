@@ -24,7 +24,8 @@ from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     APART,
-    RAISED,
+    HIGHEST,
+    LEAD,
     REACH,
     RISE,
     RISE_APART,
@@ -99,13 +100,19 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(row, start)
     anchors.update(under, ~start)
     raised = anchors.subgoals(zero)
-    assert raised[0, :6] - goals[0] == pytest.approx([0, 0, RAISED] * 2, abs=1e-5)
+    assert raised[0, :6] - goals[0] == pytest.approx([0, 0, LEAD] * 2, abs=1e-5)
     assert raised[0, 6:] == pytest.approx([RISEN] * 2)
     assert (anchors.subgoals(np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - raised)[0, 0] == pytest.approx(REACH[1])
     lifted = under.copy()
-    lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # the anchor stays where process 2 began
+    lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # where the targets go does not matter
+    lifted[0, ends[2]] += 0.08  # the arms stand 0.04 m higher
     anchors.update(lifted, ~start)
-    assert anchors.subgoals(zero) == pytest.approx(raised)
+    assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
+    lifted[0, ends[[2, 5]]] += 9.0
+    lifted[0, SLICES["P_P"].start + 2] += 9.5
+    lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 9.0
+    anchors.update(lifted, ~start)
+    assert not slipped(lifted)[0] and anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + HIGHEST, abs=1e-4)
     off = under.copy()
     off[0, ends[2]] = first[SLICES["P_P"].start + 2] + 0.1  # arm A above the centre of gravity
     anchors.update(off, ~start)

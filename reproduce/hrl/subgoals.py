@@ -5,10 +5,11 @@ rise of the plate, by which its end lies above its wrist. Plates that slope the 
 no position of an end can tell.
 
 SGN's tanh-bounded output moves them from an anchor, the ends by at most ``REACH``. In process 1 the anchor is, for each
-arm, the entry before the body while its end is high, and the target area once it is low. In process 2 it is ``RAISED``
-over the target area as it was when both arms had got under, with plates a little risen; where a body that is to be
-lifted has slid off, it is the way in again. With the targets as anchors from the beginning, an untrained SGN sends the
-arms straight at them and onto the body, and learning starts in a trap (tried, see the training log).
+arm, the entry before the body while its end is high, and the target area once it is low. In process 2 it lies over the
+target area as it was when both arms had got under, ``LEAD`` higher than the arms are now, with plates a little risen;
+where a body that is to be lifted has slid off, it is the way in again. With the targets as anchors from the beginning,
+an untrained SGN sends the arms straight at them and onto the body, and learning starts in a trap (tried, see the
+training log).
 
 What the numbers mean is a choice, ``MEANINGS``: a displacement of each arm's sub-goal, or one of both together and one
 of the two apart. The arms have to work together on one body, and with the second SGN's exploration moves them so.
@@ -28,13 +29,16 @@ ENDS_SIZE = 6  # two arm ends in three dimensions
 SUBGOAL_SIZE = ENDS_SIZE + 2  # and the rise of two plates
 #: Furthest that SGN moves a sub-goal from its anchor along each axis, or both together, in process 1 and 2 [m]. In
 #: process 1 anchors lie on the way and corrections are small; in process 2 the body has to be taken along.
-REACH = (0.25, 0.8)
+REACH = (0.25, 0.4)
 #: Furthest that it moves either of them away from their common displacement, along each axis [m].
 APART = 0.12
 RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
 RISE_APART = 0.05  # m, furthest that one plate's rise moves away from that of both together
-RISEN = 0.04  # m, rise of the plates in the anchors of process 2: a body slides off level plates
-RAISED = 0.25  # m, height of the anchors of process 2 over the target areas: a little over the transport height
+RISEN = 0.03  # m, rise of the plates in the anchors of process 2: a body slides off level plates
+#: The anchors of process 2 lead the arms, which stand at the same height, by so much: what is raised fast flies off on
+#: the Moon (1 m/s is 0.3 m up), so no anchor waits at transport height [m].
+LEAD = 0.10
+HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were
 SLIPPED = 0.40  # m, an end further than this from its target area, or above the centre of gravity, carries no body
 MEANINGS = ("each", "together")
 LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
@@ -117,14 +121,17 @@ class Anchors:
             raise ValueError(f"subgoals: expected one of {MEANINGS}, got {meaning!r}")
         self._together = meaning == "together"
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
+        self._under = np.zeros((count, ENDS_SIZE), np.float32)
         self._carried = np.zeros(count, bool)
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
-        """Follow the way in during process 1, and again where the body slid off; else stay raised over the targets."""
+        """Follow the way in during process 1, and again where the body slid off; else lead the arms up."""
         carries = in_process_2(observations) & ~slipped(observations)
         begins = carries & (starts | ~self._carried)
-        self._kept[~carries] = next_points(observations)[~carries]
-        self._kept[begins] = targets(observations)[begins] + _UP * RAISED
+        self._under[begins] = targets(observations)[begins]
+        raised = (arm_ends(observations) - self._under)[:, [2, 5]].mean(axis=1, keepdims=True)
+        over = self._under + _UP * np.minimum(raised + LEAD, HIGHEST)
+        self._kept = np.where(carries[:, None], over, next_points(observations)).astype(np.float32)
         self._carried = carries
 
     def subgoals(self, outputs: Floats) -> Floats:
