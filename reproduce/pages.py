@@ -170,10 +170,10 @@ def _result(path: str) -> dict[str, Any] | None:
     return made
 
 
-def _measured(path: str, command: str, write: Callable[[dict[str, Any]], str]) -> str:
-    """What a result file says, with its origin, or how to make it."""
+def _measured(path: str, command: str, write: Callable[[dict[str, Any]], str], needs: str = "origin") -> str:
+    """What a result file says, with its origin, or how to make it where it, or a figure of it, is not there."""
     result = _result(path)
-    if result is None:
+    if result is None or needs not in result:
         return f"Not measured yet: `{command}`.\n"
     origin = result["origin"]
     made = f"`{command}`, {origin['machine']['processor']}, {origin['machine']['cores']} cores, `results/{path}`"
@@ -212,7 +212,7 @@ def _speed(b: dict[str, Any]) -> str:
 
 def training_block() -> str:
     """The training part of bench."""
-    return _measured("bench.json", "reproduce bench --json results/bench.json", _training)
+    return _measured("bench.json", "reproduce bench --json results/bench.json", _training, needs="training_ratio")
 
 
 def _training(b: dict[str, Any]) -> str:
@@ -230,7 +230,7 @@ def _training(b: dict[str, Any]) -> str:
 
 def profile_block() -> str:
     """Where a second of training goes."""
-    return _measured("bench.json", "reproduce bench --json results/bench.json", _profile)
+    return _measured("bench.json", "reproduce bench --json results/bench.json", _profile, needs="profile_threads_1")
 
 
 def _profile(b: dict[str, Any]) -> str:

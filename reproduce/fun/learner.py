@@ -2,10 +2,10 @@
 
 FuN was trained by A3C, each rollout used once. Steps of a physical simulation are dear, so here a rollout is used
 several times as in the other methods of this project, with the same learner under it, and what is compared is the
-hierarchy. That wants ratios: Worker's is that of its actions. Manager's follows from section 3.2, which takes
-directions s_{t+c} - s_t as drawn from a von Mises-Fisher distribution around the goal, p ~ exp(kappa cos). Its norm
-does not depend on the goal, so the ratio of new and old is exp(kappa (cos_new - cos_old)); at the rollout's own goals
-it is 1 and its gradient is Eq. 7, A^M grad cos(s_{t+c} - s_t, g_t).
+hierarchy. That wants ratios: Worker's is that of its actions. Manager's follows from FuN's own derivation,
+which takes directions s_{t+c} - s_t as drawn from a von Mises-Fisher distribution around the goal, p ~ exp(kappa cos).
+Its norm does not depend on the goal, so the ratio of new and old is exp(kappa (cos_new - cos_old)); at the rollout's
+own goals it is 1 and its gradient, times A^M, is that of Eq. 7, A^M grad cos(s_{t+c} - s_t, g_t).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Manager and Worker, side by side (Fig. 1 of Vezhnevets et al. 2017; equation numbers are that paper's).
 
 ```
-percept  x_t -> standardise -> tanh layer                  -> z_t   (Eq. 1, shared)
-Manager  z_t -> ReLU layer -> s_t -> dilated LSTM -> normalise -> g_t   (Eq. 2, 3)
-Worker   z_t -> LSTM -> U_t;  sum of the last c goals -> phi -> w_t;  mean action U_t w_t   (Eq. 4 to 6)
+percept  x_t -> standardise -> tanh layer                      -> z_t                       (Eq. 1, shared)
+Manager  z_t -> ReLU layer -> s_t -> dilated LSTM -> normalise -> g_t                       (Eq. 2, 3)
+Worker   z_t -> LSTM -> U_t;  last c goals -> sum -> phi -> w_t;  mean action U_t w_t       (Eq. 4 to 6)
 ```
 FuN's softmax over U_t w_t becomes a Gaussian with mean U_t w_t and a standard deviation that knows no state; phi has no
 bias, so a zero goal gives a zero mean action. Worker gets goals as data: no gradient of its loss reaches Manager.
@@ -22,7 +22,7 @@ from reproduce.hrl.networks import StateEncoder
 
 
 class DilatedLSTM(nn.Module):
-    """r groups of LSTM state with shared weights; at step t group t mod r alone moves (section 3.3).
+    """r groups of LSTM state with shared weights; at step t group t mod r alone moves.
 
     The output is the sum of all groups' hidden states, which are the outputs of the last r steps.
     """
