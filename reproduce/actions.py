@@ -17,12 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.observation import SLICES
-from lunar_rescue.robot import ARM_WINDOW, CONTROL_STEP, JOINT_SPEED
+from lunar_rescue.robot import ARM_WINDOW, CONTROL_STEP, INITIAL_ARM, INITIAL_WAIST, JOINT_SPEED, WAIST_WINDOW
 
 Floats = NDArray[np.float32]
 
 #: Largest change in a step, in units of Eq. 3's window; further ahead the set-point is cut anyway.
 LARGEST_CHANGE = float(JOINT_SPEED * CONTROL_STEP / ARM_WINDOW)
+
+#: Angles that an action can ask for: Eq. 3's window within the joints' limits, arm A, arm B, waist (11,) [rad].
+_ARM_LIMITS = np.radians([[-100.0, -25.0, -100.0, 0.0, -105.0], [100.0, 80.0, 100.0, 160.0, 105.0]])
+_WAIST_LIMITS = np.radians([-35.0, 60.0])
+ARM_LOWER = np.maximum(INITIAL_ARM - ARM_WINDOW, _ARM_LIMITS[0])
+ARM_UPPER = np.minimum(INITIAL_ARM + ARM_WINDOW, _ARM_LIMITS[1])
+LOWER = np.concatenate([ARM_LOWER, ARM_LOWER, [max(INITIAL_WAIST - WAIST_WINDOW, _WAIST_LIMITS[0])]])
+UPPER = np.concatenate([ARM_UPPER, ARM_UPPER, [min(INITIAL_WAIST + WAIST_WINDOW, _WAIST_LIMITS[1])]])
 
 _ANGLES = np.r_[
     SLICES["P_A"].start : SLICES["P_A"].start + 5,

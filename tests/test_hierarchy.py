@@ -15,22 +15,27 @@ import torch as th
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import SIZE, SLICES
+from lunar_rescue.robot import JOINTS
 from reproduce.actions import LARGEST_CHANGE, to_environment
 from reproduce.config import PRESETS
 from reproduce.errors import UserError
 from reproduce.evaluation import rescue_scenes
 from reproduce.hrl.ablation import ABLATIONS, ablated
+from reproduce.hrl.joint_way import joint_way
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     APART,
+    FURTHER,
     HIGHEST,
     LEAD,
     REACH,
     RISE,
     RISE_APART,
-    RISEN,
+    SLIPPED,
     SUBGOAL_SIZE,
+    TIPS_DOWN,
+    TIPS_UP,
     Anchors,
     achieved,
     arm_ends,
@@ -83,6 +88,7 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
     assert view[0, SIZE : SIZE + SUBGOAL_SIZE] == pytest.approx(near[0])
     way = near - achieved(observation[None])
     assert view[0, SIZE + SUBGOAL_SIZE : SIZE + 2 * SUBGOAL_SIZE] == pytest.approx(way[0])
+    assert view[0, -JOINTS - 1 : -1] == pytest.approx(joint_way(observation[None], way, RISE)[0])
     both = np.hypot(np.linalg.norm(way[0, :6].reshape(2, 3), axis=1), way[0, 6:])
     assert distances(observation[None], near)[0] == pytest.approx(both)
 
@@ -99,27 +105,34 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors = Anchors(1, "together")
     anchors.update(row, start)
     anchors.update(under, ~start)
+    begun = anchors.subgoals(zero)  # a lift begins further under the body
+    assert begun[0, :6] - goals[0] == pytest.approx([FURTHER, 0, 0] * 2, abs=1e-5)
+    assert begun[0, 6:] == pytest.approx([TIPS_UP] * 2)
+    assert (anchors.subgoals(np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - begun)[0, 0] == pytest.approx(REACH[1])
+    further = under.copy()
+    further[0, ends[[0, 3]]] += FURTHER
+    anchors.update(further, ~start)
     raised = anchors.subgoals(zero)
-    assert raised[0, :6] - goals[0] == pytest.approx([0, 0, LEAD] * 2, abs=1e-5)
-    assert raised[0, 6:] == pytest.approx([RISEN] * 2)
-    assert (anchors.subgoals(np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - raised)[0, 0] == pytest.approx(REACH[1])
-    lifted = under.copy()
+    assert (raised - begun)[0] == pytest.approx([0, 0, LEAD] * 2 + [0, 0], abs=1e-5)
+    lifted = further.copy()
     lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # where the targets go does not matter
     lifted[0, ends[2]] += 0.08  # the arms stand 0.04 m higher
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
     lifted[0, ends[[2, 5]]] += 9.0
-    lifted[0, SLICES["P_P"].start + 2] += 9.5
     lifted[0, SLICES["P_G"].start + np.array([2, 5])] += 9.0
     anchors.update(lifted, ~start)
     assert not slipped(lifted)[0] and anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + HIGHEST, abs=1e-4)
     off = under.copy()
-    off[0, ends[2]] = first[SLICES["P_P"].start + 2] + 0.1  # arm A above the centre of gravity
+    off[0, ends[2]] += SLIPPED[1] + 0.01  # arm A above its target area
     anchors.update(off, ~start)
     assert slipped(off)[0] and not slipped(under)[0]
-    assert anchors.subgoals(zero)[0, :6] == pytest.approx(next_points(off)[0])
-    turning = off.copy()
+    assert anchors.subgoals(zero)[0] == pytest.approx([*next_points(off)[0], TIPS_DOWN, TIPS_DOWN])
+    turning = under.copy()
     turning[0, SLICES["I"]] = [0.0, 1.0]
+    anchors.update(turning, ~start)
+    assert (anchors.subgoals(zero)[0, :6] - goals[0]) == pytest.approx([0, 0, LEAD] * 2, abs=1e-5)
+    turning[0, ends[2]] = off[0, ends[2]]
     assert not slipped(turning)[0]
 
 

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from lunar_rescue.episode import OVER
 from lunar_rescue.observation import SIZE, SLICES
+from lunar_rescue.robot import JOINTS
+from reproduce.hrl.joint_way import joint_way
 
 Floats = NDArray[np.float32]
 
@@ -34,24 +36,28 @@ REACH = (0.25, 0.4)
 APART = 0.12
 RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
 RISE_APART = 0.05  # m, furthest that one plate's rise moves away from that of both together
-RISEN = 0.03  # m, rise of the plates in the anchors of process 2: a body slides off level plates
+TIPS_DOWN = -0.045  # m, rise of the plates in the anchors of process 1: such tips (17 deg) slide in, level ones push
+TIPS_UP = 0.015  # m, and in those of a lift: a body slides off level plates
+FURTHER = 0.10  # m, a lift begins with the ends so far beyond the target areas, or a body face down rolls off
+IN_PLACE = 0.05  # m, near enough to that for going up
+RAISED = 0.15  # m, ends so far above the target areas as they were no longer need to get there first
 #: The anchors of process 2 lead the arms, which stand at the same height, by so much: what is raised fast flies off on
 #: the Moon (1 m/s is 0.3 m up), so no anchor waits at transport height [m].
 LEAD = 0.10
 HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were
-SLIPPED = 0.40  # m, an end further than this from its target area, or above the centre of gravity, carries no body
+SLIPPED = (0.40, 0.25)  # m, an end further than this from its target area, or above it, carries no body
 MEANINGS = ("each", "together")
-LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 1
+LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + JOINTS + 1
 
 _END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
 _END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
+_AHEAD = np.array([1.0, 0.0, 0.0] * 2, np.float32)
 _UP = np.array([0.0, 0.0, 1.0] * 2, np.float32)
 _UP_A, _UP_B = SLICES["P_A"].start + 20, SLICES["P_B"].start + 20  # height of the unit vector along a plate
 _TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
 _TO_ENTRIES = slice(SLICES["P_G"].start + 12, SLICES["P_G"].start + 18)
 _LIFT = SLICES["I"].start
 _PROCESS_2 = SLICES["phase"].start
-_CENTRE_Z = SLICES["P_P"].start + 2  # of the centre of gravity
 
 
 def arm_ends(observations: Floats) -> Floats:
@@ -93,18 +99,27 @@ def in_process_2(observations: Floats) -> NDArray[np.bool_]:
     return observations[:, _PROCESS_2] > 0.5
 
 
+def to_be_lifted(observations: Floats) -> NDArray[np.bool_]:
+    """Whether the task is a lift, (n,)."""
+    return observations[:, _LIFT] > 0.5
+
+
 def slipped(observations: Floats) -> NDArray[np.bool_]:
     """Whether a body that is to be lifted has slid off an arm, (n,)."""
     ends = arm_ends(observations).reshape(-1, 2, 3)
     way = ends - targets(observations).reshape(-1, 2, 3)
-    off = (np.linalg.norm(way, axis=2) > SLIPPED) | (ends[:, :, 2] > observations[:, _CENTRE_Z, None])
-    return off.any(axis=1) & (observations[:, _LIFT] > 0.5)
+    off = (np.linalg.norm(way, axis=2) > SLIPPED[0]) | (way[:, :, 2] > SLIPPED[1])
+    return off.any(axis=1) & to_be_lifted(observations)
 
 
 def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-    """What LLN sees: s_t (with a_{t-1}), the sub-goal, the way to it and the share of N steps left, (n, LLN_SIZE)."""
+    """What LLN sees: s_t (with a_{t-1}), the sub-goal, the way to it and the share of N steps left, (n, LLN_SIZE).
+
+    The way is there twice, in metres and in joint angles, see ``reproduce.hrl.joint_way``.
+    """
     way = subgoals - achieved(observations)
-    return np.concatenate([observations, subgoals, way, remaining[:, None]], axis=1).astype(np.float32)
+    seen = [observations, subgoals, way, joint_way(observations, way, RISE), remaining[:, None]]
+    return np.concatenate(seen, axis=1).astype(np.float32)
 
 
 class Anchors:
@@ -122,16 +137,22 @@ class Anchors:
         self._together = meaning == "together"
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
         self._under = np.zeros((count, ENDS_SIZE), np.float32)
+        self._rises = np.zeros(count, np.float32)
         self._carried = np.zeros(count, bool)
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
         """Follow the way in during process 1, and again where the body slid off; else lead the arms up."""
+        lifts = to_be_lifted(observations)
         carries = in_process_2(observations) & ~slipped(observations)
         begins = carries & (starts | ~self._carried)
         self._under[begins] = targets(observations)[begins]
-        raised = (arm_ends(observations) - self._under)[:, [2, 5]].mean(axis=1, keepdims=True)
-        over = self._under + _UP * np.minimum(raised + LEAD, HIGHEST)
+        moved = arm_ends(observations) - self._under
+        raised = moved[:, [2, 5]].mean(axis=1)
+        waits = lifts & (moved[:, [0, 3]].min(axis=1) < FURTHER - IN_PLACE) & (raised < RAISED)
+        up = np.where(waits, 0.0, np.minimum(raised + LEAD, HIGHEST))
+        over = self._under + FURTHER * lifts[:, None] * _AHEAD + up[:, None] * _UP
         self._kept = np.where(carries[:, None], over, next_points(observations)).astype(np.float32)
+        self._rises = np.where(carries, TIPS_UP * lifts, TIPS_DOWN).astype(np.float32)
         self._carried = carries
 
     def subgoals(self, outputs: Floats) -> Floats:
@@ -144,8 +165,7 @@ class Anchors:
             rises = np.concatenate(_both(RISE * rises[:, :1], RISE_APART * rises[:, 1:]), axis=1)
         else:
             ends, rises = reach * ends, RISE * rises
-        rises = rises + (RISEN * self._carried[:, None]).astype(np.float32)
-        return np.concatenate([self._kept + ends, rises], axis=1)
+        return np.concatenate([self._kept + ends, self._rises[:, None] + rises], axis=1)
 
 
 def _both(common: Floats, apart: Floats) -> list[Floats]:

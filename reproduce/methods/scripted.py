@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from lunar_rescue.kinematics import solve_arm
 from lunar_rescue.observation import SLICES
 from lunar_rescue.robot import ARM_WINDOW, ARMS, INITIAL_ARM, INITIAL_WAIST, JOINTS, WAIST, WAIST_WINDOW
+from reproduce.actions import ARM_LOWER, ARM_UPPER
 from reproduce.policy import Actions, Observations
 
 Array = NDArray[np.float64]
 
-LOWER = np.maximum(INITIAL_ARM - ARM_WINDOW, np.radians([-100.0, -25.0, -100.0, 0.0, -105.0]))
-UPPER = np.minimum(INITIAL_ARM + ARM_WINDOW, np.radians([100.0, 80.0, 100.0, 160.0, 105.0]))
 ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
 
 
@@ -146,7 +145,7 @@ def _solve(targets: Array, point: WayPoint, before: Array) -> Array:
             joints[WAIST],
             arm.side,
             before[arm.joints],
-            LOWER,
-            UPPER,
+            ARM_LOWER,
+            ARM_UPPER,
         )
     return joints

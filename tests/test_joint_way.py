@@ -1,0 +1,92 @@
+"""The way to a sub-goal in joint angles: against numerical changes, and followed to its end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lunar_rescue.kinematics import arm_pose
+from lunar_rescue.observation import SIZE, SLICES
+from lunar_rescue.robot import ARM_WINDOW, ARMS, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
+from reproduce.actions import LARGEST_CHANGE, LOWER, UPPER
+from reproduce.hrl.joint_way import FURTHEST, changes_with_joints, joint_way
+from reproduce.hrl.subgoals import RISE, SUBGOAL_SIZE, achieved
+from reproduce.mirror import mirror_actions, mirror_observations
+
+Array = NDArray[np.float64]
+
+
+def _pose(waist: float, q: Array) -> Array:
+    pose = arm_pose(waist, q, 1)
+    return np.array([*pose.points[-1], pose.direction[2], pose.normal[1]])
+
+
+def test_changes_are_those_of_the_arm() -> None:
+    rng = np.random.default_rng(0)
+    waist, q = rng.uniform(-0.5, 0.9, 5), rng.uniform(-1.0, 1.0, (5, 5)) + [0, 0, 0, 1.5, 0]
+    changes, normal_y = changes_with_joints(waist, q)
+    small = 1e-6
+    for row in range(5):
+        assert normal_y[row] == pytest.approx(_pose(waist[row], q[row])[4])
+        for joint in range(6):
+            d = small * np.eye(6)[joint]
+            ahead, behind = (_pose(waist[row] + sign * d[5], q[row] + sign * d[:5]) for sign in (1, -1))
+            assert changes[row, :, joint] == pytest.approx((ahead - behind) / (2 * small), abs=1e-6)
+
+
+def _observed(angles: Array) -> NDArray[np.float32]:
+    """What the observation tells of arms at these joint angles (11,)."""
+    row = np.zeros((1, SIZE), np.float32)
+    for arm, key in zip(ARMS, ("P_A", "P_B"), strict=True):
+        pose, at = arm_pose(float(angles[WAIST]), angles[arm.joints], arm.side), SLICES[key].start
+        row[0, at : at + 5] = (angles[arm.joints] - INITIAL_ARM) / ARM_WINDOW
+        row[0, at + 15 : at + 21] = [*pose.points[-1], *pose.direction]
+    row[0, SLICES["P_W"].start] = angles[WAIST] / WAIST_WINDOW
+    return row
+
+
+def _far_from_limits(rng: np.random.Generator) -> Array:
+    middle, half = 0.5 * (LOWER + UPPER), 0.5 * (UPPER - LOWER)
+    angles: Array = middle + 0.4 * half * rng.uniform(-1, 1, JOINTS)
+    angles[[3, 8]] -= 0.2  # arms not stretched
+    return angles
+
+
+def test_followed_step_by_step_it_leads_both_arms_to_their_sub_goals() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        angles = _far_from_limits(rng)
+        wanted = achieved(_observed(angles + rng.normal(0.0, 0.12, JOINTS)))
+        first = np.abs(wanted - achieved(_observed(angles))).max()
+        for _ in range(60):
+            row = _observed(angles)
+            step = np.clip(joint_way(row, wanted - achieved(row), RISE)[0], -1, 1)
+            angles = np.clip(angles + step * LARGEST_CHANGE * ARM_WINDOW, LOWER, UPPER)
+        assert np.abs(wanted - achieved(_observed(angles))).max() < min(0.02, first)
+
+
+def test_it_asks_no_joint_out_of_its_range_for_help() -> None:
+    angles = np.zeros(JOINTS)
+    angles[:10] = np.tile(INITIAL_ARM, 2)
+    way = np.zeros((1, SUBGOAL_SIZE), np.float32)
+    way[0, [0, 3]] = 0.1  # ahead
+    free = joint_way(_observed(angles), way, RISE)[0]
+    blocked = angles.copy()
+    blocked[0] = UPPER[0] if free[0] > 0 else LOWER[0]
+    row = _observed(blocked)
+    assert joint_way(row, way, RISE)[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_it_is_bounded_mirrored_with_the_scene_and_the_same_in_a_batch() -> None:
+    rng = np.random.default_rng(2)
+    rows = np.concatenate([_observed(_far_from_limits(rng)) for _ in range(6)])
+    way = rng.normal(0.0, 0.3, (6, SUBGOAL_SIZE)).astype(np.float32)
+    steps = joint_way(rows, way, RISE)
+    assert steps.shape == (6, JOINTS) and np.abs(steps).max() <= FURTHEST
+    other = np.concatenate([way[:, 3:6] * [1, -1, 1], way[:, :3] * [1, -1, 1], way[:, [7, 6]]], axis=1)
+    mirrored = joint_way(mirror_observations(rows), other.astype(np.float32), RISE)
+    assert mirrored == pytest.approx(mirror_actions(steps), abs=1e-4)
+    for index in range(6):
+        alone = joint_way(rows[index : index + 1], way[index : index + 1], RISE)
+        assert np.array_equal(alone[0], steps[index])
