@@ -400,7 +400,7 @@ def test_the_clipped_loss_begins_with_the_transition_policy_gradient() -> None:
 
 
 def test_an_update_moves_every_parameter_and_shows_it() -> None:
-    learner = make(log_std_line=(-0.5, -1.0, 0.5), desired_kl=0.01)
+    learner = make(log_std_line=(-0.5, -1.0, 0.5), desired_kl=(0.01, 0.01))
     learner._current_progress_remaining = 0.5
     before = [p.detach().clone() for p in learner.policy.parameters()]
     collect(learner)

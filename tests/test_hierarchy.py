@@ -21,7 +21,7 @@ from reproduce.config import PRESETS
 from reproduce.errors import UserError
 from reproduce.evaluation import rescue_scenes
 from reproduce.hrl.ablation import ABLATIONS, ablated
-from reproduce.hrl.joint_way import joint_way
+from reproduce.hrl.joint_way import joint_way, leans
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
@@ -33,6 +33,7 @@ from reproduce.hrl.subgoals import (
     RISE,
     RISE_APART,
     SLIPPED,
+    STRIDE,
     SUBGOAL_SIZE,
     TIPS_DOWN,
     TIPS_UP,
@@ -70,18 +71,30 @@ def test_sub_goal_points_agree_with_the_environment(env: LunarRescueEnv) -> None
     assert next_points(row)[0] == pytest.approx(entries(row)[0])  # arms start raised
 
 
+_ENDS = np.r_[SLICES["P_A"].start + 15 : SLICES["P_A"].start + 18, SLICES["P_B"].start + 15 : SLICES["P_B"].start + 18]
+
+
 def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> None:
     observation, _ = env.reset_flat(options={"scene": sample_scene(1)})
+    there = observation[None].copy()  # the arms' ends at their anchor
+    there[0, _ENDS] = targets(there)[0]
     anchors, pair = Anchors(1, "each"), Anchors(1, "together")
     for made in (anchors, pair):
-        made.update(observation[None], np.array([True]))
-    far = anchors.subgoals(np.full((1, SUBGOAL_SIZE), 9.0, np.float32))
+        made.update(there, np.array([True]))
     near = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))
-    assert (far - near)[0] == pytest.approx([REACH[0]] * 6 + [RISE] * 2)
+    assert near[0] == pytest.approx([*there[0, _ENDS], TIPS_DOWN, TIPS_DOWN])
+    far = anchors.subgoals(np.array([[9.0, 0.0, 0.0, 0.0, -9.0, 0.0, 9.0, 9.0]], np.float32))
+    assert (far - near)[0] == pytest.approx([REACH[0], 0, 0, 0, -REACH[0], 0, RISE, RISE], abs=1e-6)
     assert pair.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32)) == pytest.approx(near)
     moved = pair.subgoals(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.5, 1.0]], np.float32)) - near
     rises = [0.5 * RISE + RISE_APART, 0.5 * RISE - RISE_APART]
-    assert moved[0] == pytest.approx([REACH[0], 0.0, -APART, REACH[0], 0.0, APART, *rises])
+    assert moved[0] == pytest.approx([REACH[0], 0.0, -APART, REACH[0], 0.0, APART, *rises], abs=1e-6)
+    anchors.update(observation[None], np.array([True]))  # arms that are far away are led there step by step
+    way = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[0, :6] - arm_ends(observation[None])[0]
+    whole = (next_points(observation[None]) - arm_ends(observation[None]))[0]
+    for one, all_of_it in zip(way.reshape(2, 3), whole.reshape(2, 3), strict=True):
+        assert np.linalg.norm(all_of_it) > STRIDE
+        assert one == pytest.approx(STRIDE * all_of_it / np.linalg.norm(all_of_it), abs=1e-5)
     with pytest.raises(ValueError, match="subgoals"):
         Anchors(1, "neither")
     view = lln_observations(observation[None], near, np.ones(1, np.float32))
@@ -89,7 +102,8 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
     way = near - achieved(observation[None])
     assert view[0, SIZE + SUBGOAL_SIZE : SIZE + 2 * SUBGOAL_SIZE] == pytest.approx(way[0])
     assert view[0, -JOINTS - 1 : -1] == pytest.approx(joint_way(observation[None], way, RISE)[0])
-    both = np.hypot(np.linalg.norm(way[0, :6].reshape(2, 3), axis=1), way[0, 6:])
+    parts = np.column_stack([way[0, :6].reshape(2, 3), way[0, 6:], leans(observation[None])[0]])
+    both = np.linalg.norm(parts, axis=1)
     assert distances(observation[None], near)[0] == pytest.approx(both)
 
 
@@ -97,42 +111,41 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight")})
     row, start, zero = first[None], np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
     goals = targets(row)
-    ends = np.r_[
-        SLICES["P_A"].start + 15 : SLICES["P_A"].start + 18, SLICES["P_B"].start + 15 : SLICES["P_B"].start + 18
-    ]
     under = row.copy()
-    under[0, SLICES["phase"].start], under[0, ends] = 1.0, goals[0]
+    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, goals[0]
     anchors = Anchors(1, "together")
     anchors.update(row, start)
     anchors.update(under, ~start)
     begun = anchors.subgoals(zero)  # a lift begins further under the body
     assert begun[0, :6] - goals[0] == pytest.approx([FURTHER, 0, 0] * 2, abs=1e-5)
     assert begun[0, 6:] == pytest.approx([TIPS_UP] * 2)
-    assert (anchors.subgoals(np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - begun)[0, 0] == pytest.approx(REACH[1])
+    assert (anchors.subgoals(-np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - begun)[0, 0] == pytest.approx(-REACH[1])
     further = under.copy()
-    further[0, ends[[0, 3]]] += FURTHER
+    further[0, _ENDS[[0, 3]]] += FURTHER
     anchors.update(further, ~start)
     raised = anchors.subgoals(zero)
     assert (raised - begun)[0] == pytest.approx([0, 0, LEAD] * 2 + [0, 0], abs=1e-5)
     lifted = further.copy()
     lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # where the targets go does not matter
-    lifted[0, ends[2]] += 0.08  # the arms stand 0.04 m higher
+    lifted[0, _ENDS[2]] += 0.08  # the arms stand 0.04 m higher
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
-    lifted[0, ends[[2, 5]]] += 9.0
-    lifted[0, SLICES["P_G"].start + np.array([2, 5])] += 9.0
+    lifted[0, _ENDS[[2, 5]]] = goals[0, [2, 5]] + HIGHEST + 0.2
+    lifted[0, SLICES["P_G"].start + np.array([2, 5])] = lifted[0, _ENDS[[2, 5]]]
     anchors.update(lifted, ~start)
     assert not slipped(lifted)[0] and anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + HIGHEST, abs=1e-4)
     off = under.copy()
-    off[0, ends[2]] += SLIPPED[1] + 0.01  # arm A above its target area
+    off[0, _ENDS[2]] += SLIPPED[1] + 0.01  # arm A above its target area
     anchors.update(off, ~start)
     assert slipped(off)[0] and not slipped(under)[0]
-    assert anchors.subgoals(zero)[0] == pytest.approx([*next_points(off)[0], TIPS_DOWN, TIPS_DOWN])
+    way, whole = (made[0, :3] - arm_ends(off)[0, :3] for made in (anchors.subgoals(zero), next_points(off)))
+    assert way == pytest.approx(whole * min(1.0, STRIDE / float(np.linalg.norm(whole))), abs=1e-5)
+    assert anchors.subgoals(zero)[0, 6:] == pytest.approx([TIPS_DOWN] * 2)
     turning = under.copy()
     turning[0, SLICES["I"]] = [0.0, 1.0]
     anchors.update(turning, ~start)
     assert (anchors.subgoals(zero)[0, :6] - goals[0]) == pytest.approx([0, 0, LEAD] * 2, abs=1e-5)
-    turning[0, ends[2]] = off[0, ends[2]]
+    turning[0, _ENDS[2]] = off[0, _ENDS[2]]
     assert not slipped(turning)[0]
 
 
@@ -217,7 +230,9 @@ def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) 
         assert made.networks[0] is policy.networks[0]
         assert (made.networks[1] is policy.networks[1]) == (name != "untrained_lln")
     assert seen["fixed_target"] == pytest.approx(targets(row))
-    assert seen["anchors_alone"] == pytest.approx(next_points(row))
+    anchors = Anchors(1, "together")
+    anchors.update(row, start)
+    assert seen["anchors_alone"] == pytest.approx(anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[:, :6])
     assert seen["untrained_lln"] == pytest.approx(policy.overlay()["sub-goal"].reshape(1, 6))
     with pytest.raises(UserError, match=r"--ablation.*fixed_target"):
         ablated(policy, "no_arms", "hrl_dcs")

@@ -10,7 +10,7 @@ from lunar_rescue.kinematics import arm_pose
 from lunar_rescue.observation import SIZE, SLICES
 from lunar_rescue.robot import ARM_WINDOW, ARMS, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
 from reproduce.actions import LARGEST_CHANGE, LOWER, UPPER
-from reproduce.hrl.joint_way import FURTHEST, changes_with_joints, joint_way
+from reproduce.hrl.joint_way import FURTHEST, LEVEL, changes_with_joints, joint_way, leans
 from reproduce.hrl.subgoals import RISE, SUBGOAL_SIZE, achieved
 from reproduce.mirror import mirror_actions, mirror_observations
 
@@ -29,6 +29,8 @@ def test_changes_are_those_of_the_arm() -> None:
     small = 1e-6
     for row in range(5):
         assert normal_y[row] == pytest.approx(_pose(waist[row], q[row])[4])
+        seen = _observed(np.concatenate([q[row], q[row], waist[row : row + 1]]))
+        assert leans(seen)[0] == pytest.approx([LEVEL * normal_y[row]] * 2, abs=1e-6)
         for joint in range(6):
             d = small * np.eye(6)[joint]
             ahead, behind = (_pose(waist[row] + sign * d[5], q[row] + sign * d[:5]) for sign in (1, -1))

@@ -13,7 +13,7 @@ from reproduce.fun.learner import FunPPO
 from reproduce.fun.network import FunNetwork
 from reproduce.fun.policy import LEVEL
 from reproduce.methods.ppo_lstm import EpisodeLog
-from reproduce.methods.stepping import RecurrentTraining, make_environments
+from reproduce.methods.stepping import RecurrentTraining, make_environments, own_arguments, stock_arguments
 
 
 def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int) -> FunPPO:
@@ -21,25 +21,11 @@ def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int)
     learner = FunPPO(
         FunNetwork,
         env,
-        learning_rate=lambda left: (
-            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
-        ),
-        n_steps=config.n_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.n_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.ent_coef,
-        vf_coef=config.vf_coef,
-        max_grad_norm=config.max_grad_norm,
-        sequence_length=config.sequence_length,
-        log_std_line=(config.log_std_init, config.final_log_std, config.noise_share),
-        desired_kl=config.desired_kl,
         policy_kwargs={"hidden_units": config.hidden_units, "log_std_init": config.log_std_init},
         seed=seed,
-        device="cpu",
         fun=fun,
+        **stock_arguments(config),
+        **own_arguments(config),
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner

@@ -25,6 +25,7 @@ DAMPING = 0.05  # m, of the same order as the smallest errors that matter
 FURTHEST = 2.0  # LARGEST_CHANGE, what is seen is cut there: further ahead tells nothing new
 LEVEL = 0.15  # m, what a plate that is not level across counts beside places
 _LARGEST = LARGEST_CHANGE * ARM_WINDOW  # rad in a step
+_START = INITIAL_ARM.astype(np.float32)
 _SIDES = np.array([1.0, -1.0])[:, None]
 _ANGLES = [slice(SLICES[key].start, SLICES[key].start + 5) for key in ("P_A", "P_B")]
 _WAIST = SLICES["P_W"].start
@@ -68,6 +69,14 @@ def changes_with_joints(waist: Array, q: Array) -> tuple[Array, Array]:
     dx, dy, nx, nz = direction[:, :1], direction[:, 1:2], normal[:, :1], normal[:, 2:]
     rows = [ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx, ax * dy - ay * dx, az * nx - ax * nz]
     return np.stack(rows, axis=1), normal[:, 1]
+
+
+def leans(observations: Floats) -> Floats:
+    """How far each plate is from level across, (n, 2) [m], counting ``LEVEL`` for a plate on edge."""
+    q = np.stack([observations[:, where] for where in _ANGLES], axis=1) * np.float32(ARM_WINDOW) + _START
+    s, c = np.sin(q), np.cos(q)
+    across = c[..., 4] * (c[..., 3] * s[..., 2] * c[..., 1] - s[..., 3] * s[..., 1]) + s[..., 4] * c[..., 2] * c[..., 1]
+    return np.float32(LEVEL) * across
 
 
 def joint_way(observations: Floats, way: Floats, rise: float) -> Floats:

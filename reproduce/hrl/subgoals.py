@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lunar_rescue.episode import OVER
 from lunar_rescue.observation import SIZE, SLICES
 from lunar_rescue.robot import JOINTS
-from reproduce.hrl.joint_way import joint_way
+from reproduce.hrl.joint_way import joint_way, leans
 
 Floats = NDArray[np.float32]
 
@@ -36,7 +36,7 @@ REACH = (0.25, 0.4)
 APART = 0.12
 RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
 RISE_APART = 0.05  # m, furthest that one plate's rise moves away from that of both together
-TIPS_DOWN = -0.045  # m, rise of the plates in the anchors of process 1: such tips (17 deg) slide in, level ones push
+TIPS_DOWN = -0.052  # m, rise of the plates in the anchors of process 1: such tips (20 deg) slide in, level ones push
 TIPS_UP = 0.015  # m, and in those of a lift: a body slides off level plates
 FURTHER = 0.10  # m, a lift begins with the ends so far beyond the target areas, or a body face down rolls off
 IN_PLACE = 0.05  # m, near enough to that for going up
@@ -44,10 +44,13 @@ RAISED = 0.15  # m, ends so far above the target areas as they were no longer ne
 #: The anchors of process 2 lead the arms, which stand at the same height, by so much: what is raised fast flies off on
 #: the Moon (1 m/s is 0.3 m up), so no anchor waits at transport height [m].
 LEAD = 0.10
-HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were
-SLIPPED = (0.40, 0.25)  # m, an end further than this from its target area, or above it, carries no body
+HIGHEST = 0.65  # m, and lie no higher than this over the target areas as they were
+#: No sub-goal lies further than this from its arm's end when it is set: within reach of N steps, and no faster on the
+#: average than 0.6 m/s. Faster arms push a body face down away [m].
+STRIDE = 0.30
+SLIPPED = (0.40, 0.30)  # m, an end further than this from its target area, or above it, carries no body
 MEANINGS = ("each", "together")
-LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + JOINTS + 1
+LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 2 + JOINTS + 1
 
 _END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
 _END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
@@ -71,10 +74,10 @@ def achieved(observations: Floats) -> Floats:
 
 
 def distances(observations: Floats, subgoals: Floats) -> Floats:
-    """Of each arm to its sub-goal, over end and rise, (n, 2) [m]."""
+    """Of each arm to its sub-goal, over end, rise and a plate level across, (n, 2) [m]."""
     way = achieved(observations) - subgoals
     squares: Floats = np.einsum("nak,nak->na", *[way[:, :ENDS_SIZE].reshape(-1, 2, 3)] * 2) + way[:, ENDS_SIZE:] ** 2
-    return np.sqrt(squares)
+    return np.sqrt(squares + leans(observations) ** 2)
 
 
 def targets(observations: Floats) -> Floats:
@@ -118,7 +121,8 @@ def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) 
     The way is there twice, in metres and in joint angles, see ``reproduce.hrl.joint_way``.
     """
     way = subgoals - achieved(observations)
-    seen = [observations, subgoals, way, joint_way(observations, way, RISE), remaining[:, None]]
+    steps = joint_way(observations, way, RISE)
+    seen = [observations, subgoals, way, leans(observations), steps, remaining[:, None]]
     return np.concatenate(seen, axis=1).astype(np.float32)
 
 
@@ -137,6 +141,7 @@ class Anchors:
         self._together = meaning == "together"
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
         self._under = np.zeros((count, ENDS_SIZE), np.float32)
+        self._ends = np.zeros((count, ENDS_SIZE), np.float32)
         self._rises = np.zeros(count, np.float32)
         self._carried = np.zeros(count, bool)
 
@@ -146,7 +151,8 @@ class Anchors:
         carries = in_process_2(observations) & ~slipped(observations)
         begins = carries & (starts | ~self._carried)
         self._under[begins] = targets(observations)[begins]
-        moved = arm_ends(observations) - self._under
+        self._ends = arm_ends(observations)
+        moved = self._ends - self._under
         raised = moved[:, [2, 5]].mean(axis=1)
         waits = lifts & (moved[:, [0, 3]].min(axis=1) < FURTHER - IN_PLACE) & (raised < RAISED)
         up = np.where(waits, 0.0, np.minimum(raised + LEAD, HIGHEST))
@@ -165,7 +171,10 @@ class Anchors:
             rises = np.concatenate(_both(RISE * rises[:, :1], RISE_APART * rises[:, 1:]), axis=1)
         else:
             ends, rises = reach * ends, RISE * rises
-        return np.concatenate([self._kept + ends, self._rises[:, None] + rises], axis=1)
+        way = (self._kept + ends - self._ends).reshape(-1, 2, 3)
+        way *= np.minimum(1.0, STRIDE / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-6))
+        places = self._ends + way.reshape(-1, ENDS_SIZE)
+        return np.concatenate([places, self._rises[:, None] + rises], axis=1).astype(np.float32)
 
 
 def _both(common: Floats, apart: Floats) -> list[Floats]:

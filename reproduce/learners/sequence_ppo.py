@@ -31,7 +31,7 @@ class SequencePPO(RecurrentPPO):
         *args: Any,
         sequence_length: int = 32,
         log_std_line: tuple[float, float, float] | None = None,
-        desired_kl: float = 0.0,
+        desired_kl: tuple[float, float] = (0.0, 0.0),
         **kwargs: Any,
     ) -> None:
         """As RecurrentPPO.
@@ -41,8 +41,9 @@ class SequencePPO(RecurrentPPO):
             sequence_length: Most steps that the gradient flows back through time.
             log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
                 and the share of the training at which it has come down.
-            desired_kl: Where positive, the learning rate is the schedule's times a factor in [1 / 30, 1] that falls
-                when an update's approximate KL is over twice this and rises when it is under half.
+            desired_kl: At the beginning and at the end of the training, on a line between. Where positive, the learning
+                rate is the schedule's times a factor in [1 / 30, 1] that falls when an update's approximate KL is over
+                twice this and rises when it is under half.
             **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
         """
         if sequence_length < 1:
@@ -126,7 +127,7 @@ class SequencePPO(RecurrentPPO):
         self._limit_noise()
         self._observe(rollout)
         self._record(rollout, logs)
-        if self.desired_kl > 0.0:
+        if self.desired_kl[0] > 0.0:
             self._follow_kl(float(np.mean([log["approx_kl"] for log in logs])))
 
     @th.no_grad()
@@ -140,9 +141,11 @@ class SequencePPO(RecurrentPPO):
 
     def _follow_kl(self, kl: float) -> None:
         """A fixed rate makes steps that are too large once exploration is small."""
-        if kl > 2.0 * self.desired_kl:
+        first, last = self.desired_kl
+        desired = last + self._current_progress_remaining * (first - last)
+        if kl > 2.0 * desired:
             self.rate_factor = max(self.rate_factor / RATE_STEP, LEAST_FACTOR)
-        elif kl < 0.5 * self.desired_kl:
+        elif kl < 0.5 * desired:
             self.rate_factor = min(self.rate_factor * RATE_STEP, 1.0)
 
     def _observe(self, rollout: Rollout) -> None:

@@ -15,43 +15,30 @@ from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.learners.sequence_ppo import SequencePPO
-from reproduce.methods.stepping import OnlySpaces, RecurrentTraining, make_environments
+from reproduce.methods.stepping import (
+    OnlySpaces,
+    RecurrentTraining,
+    make_environments,
+    own_arguments,
+    stock_arguments,
+)
 
 
 def make_learner(
     env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
 ) -> Any:
     """One recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
-    own: dict[str, Any] = {}
-    if issubclass(kind, SequencePPO):
-        own = {
-            "sequence_length": config.sequence_length,
-            "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
-            "desired_kl": config.desired_kl,
-        }
     learner = kind(
         RecurrentNetwork,
         env,
-        learning_rate=lambda left: (
-            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
-        ),
-        n_steps=config.n_steps,
-        batch_size=config.batch_size,
-        n_epochs=config.n_epochs,
-        gamma=config.gamma,
-        gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range,
-        ent_coef=config.ent_coef,
-        vf_coef=config.vf_coef,
-        max_grad_norm=config.max_grad_norm,
         policy_kwargs={
             "hidden_units": config.hidden_units,
             "bounded_mean": bounded_mean,
             "log_std_init": config.log_std_init,
         },
         seed=seed,
-        device="cpu",
-        **own,
+        **stock_arguments(config),
+        **(own_arguments(config) if issubclass(kind, SequencePPO) else {}),
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner

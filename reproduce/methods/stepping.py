@@ -11,17 +11,53 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from reproduce.config import TrainingConfig
+from lunar_rescue.postures import Posture, postures
+from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.mirror import Environments, MirroredVecEnv
 from reproduce.sampling import EnvOptions, WorkerVecEnv
 
 
 def make_environments(config: TrainingConfig, seed: int) -> Environments:
-    """The environments of a training, as learners see them."""
+    """The environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
-    venv = WorkerVecEnv(config.n_envs, seed, EnvOptions(arguments))
+    drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
+    options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else ())
+    venv = WorkerVecEnv(config.n_envs, seed, options)
     return MirroredVecEnv(venv) if config.mirrored else venv
+
+
+def _weight(posture: Posture, lying_weight: int) -> int:
+    """How many times as often as a posture on a side one is drawn in training."""
+    return 1 if posture.attitude.endswith("side") else lying_weight
+
+
+def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
+    """What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
+    return {
+        "learning_rate": lambda left: (
+            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
+        ),
+        "n_steps": config.n_steps,
+        "batch_size": config.batch_size,
+        "n_epochs": config.n_epochs,
+        "gamma": config.gamma,
+        "gae_lambda": config.gae_lambda,
+        "clip_range": config.clip_range,
+        "ent_coef": config.ent_coef,
+        "vf_coef": config.vf_coef,
+        "max_grad_norm": config.max_grad_norm,
+        "device": "cpu",
+    }
+
+
+def own_arguments(config: LearnerConfig) -> dict[str, Any]:
+    """What only ``SequencePPO`` and its subclasses take."""
+    return {
+        "sequence_length": config.sequence_length,
+        "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
+        "desired_kl": (config.desired_kl, config.final_desired_kl),
+    }
 
 
 def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
@@ -41,11 +77,13 @@ def follow_schedule(learners: Iterable[BaseAlgorithm], progress: float) -> None:
         learner._current_progress_remaining = max(0.0, 1.0 - progress)
 
 
-def episode_summary(episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Means over the episodes that ended in an update; NaN where none did."""
+def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
+    """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
+    known = postures()
+    shares = [1.0 / _weight(known[e["posture"]], lying_weight) for e in episodes]
 
     def mean(key: str) -> float:
-        return float(np.mean([float(e[key]) for e in episodes])) if episodes else float("nan")
+        return float(np.average([float(e[key]) for e in episodes], weights=shares)) if episodes else float("nan")
 
     return {
         "episodes": len(episodes),
@@ -93,7 +131,7 @@ class RecurrentTraining:
 
     def row(self) -> dict[str, Any]:
         """The row of ``progress.csv`` for what happened since the last one."""
-        row = episode_summary(self.env.episodes)
+        row = episode_summary(self.env.episodes, self.config.lying_weight)
         self.env.episodes = []
         for name, learner in self.learners.items():
             for key in ("approx_kl", "explained_variance", "std", "value_loss"):
