@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lunar_rescue.rewards import ApproachForm, RewardWeights
+from reproduce.fun.config import FunConfig
 from reproduce.hrl.subgoals import MEANINGS
 
 
@@ -86,6 +87,33 @@ class HierarchyConfig:
 
 
 @dataclass(frozen=True)
+class SacConfig:
+    """What only SAC has; SB3's defaults where nothing is said."""
+
+    buffer_size: int = 50_000
+    """Transitions in the replay buffer; ML-Agents' default, which the paper's comparison has. SB3's is 1,000,000."""
+    batch_size: int = 256
+    """Transitions in a gradient step."""
+    gradient_steps: int = 1
+    """After each step of all environments: what fits into the hour that every method has."""
+    learning_starts: int = 10_000
+    """Environment steps before the first gradient step."""
+    learning_rate: float = 3.0e-4
+    """Of actor, critics and entropy weight."""
+    tau: float = 0.005
+    """Share of the critics that goes into the target critics after each gradient step."""
+    hidden_units: int = 256
+    """Units of each of the two layers of actor and critics."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        for name in ("buffer_size", "batch_size", "gradient_steps", "hidden_units"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+
+
+@dataclass(frozen=True)
 class TrainingConfig:
     """One training, complete."""
 
@@ -101,6 +129,10 @@ class TrainingConfig:
     """SGN; its rollout is what it decided during LLN's."""
     hierarchy: HierarchyConfig = field(default_factory=HierarchyConfig)
     """What only the two-layer method has."""
+    fun: FunConfig = field(default_factory=FunConfig)
+    """What only FeUdal Networks have."""
+    sac: SacConfig = field(default_factory=SacConfig)
+    """What only SAC has."""
     reward: RewardWeights = field(default_factory=RewardWeights)
     """Weights of the environment's reward, which is EXR."""
     obstacle_reward: str = "aapf"
@@ -133,6 +165,8 @@ _NESTED: dict[str, type] = {
     "low": LearnerConfig,
     "high": LearnerConfig,
     "hierarchy": HierarchyConfig,
+    "fun": FunConfig,
+    "sac": SacConfig,
     "reward": RewardWeights,
 }
 

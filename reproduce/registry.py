@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from torch import nn
+
 from lunar_rescue.observation import SIZE
 from lunar_rescue.robot import JOINTS
+from reproduce.checkpoint import Learner
 from reproduce.config import PRESETS, TrainingConfig
 from reproduce.errors import UserError
+from reproduce.fun.policy import FunPolicy, load_network
+from reproduce.fun.training import FunTraining
 from reproduce.hrl.policy import FlatPolicy, HierarchicalPolicy
 from reproduce.hrl.subgoals import LLN_SIZE, MEANINGS, SUBGOAL_SIZE
-from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.baselines import RandomPolicy
 from reproduce.methods.hrl_dcs import HierarchicalTraining
 from reproduce.methods.planner import PlannerPolicy
 from reproduce.methods.ppo_lstm import FlatTraining
+from reproduce.methods.sac import SacPolicy, SacSpec, SacTraining
 from reproduce.methods.scripted import ScriptedPolicy
 from reproduce.policy import Policy
-from reproduce.run_folder import NetworkSpec, load_networks, read_policy_json, save_policy
+from reproduce.run_folder import Spec, load_networks, read_policy_json, save_policy
 
 
 class Training(Protocol):
@@ -29,7 +34,7 @@ class Training(Protocol):
     config: TrainingConfig
 
     @property
-    def learners(self) -> dict[str, SequencePPO]:
+    def learners(self) -> Mapping[str, Learner]:
         """Learners by level."""
         ...
 
@@ -44,6 +49,14 @@ class Training(Protocol):
 
     def update(self, done: int) -> dict[str, Any]:
         """Collect and learn once; return a row of ``progress.csv``."""
+        ...
+
+    def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:
+        """What acts, by level: how to build it, and it."""
+        ...
+
+    def acting(self) -> dict[str, Any]:
+        """What else is needed to act, plain data."""
         ...
 
     def close(self) -> None:
@@ -84,6 +97,8 @@ class Method:
 
 _TWO_LEVELS = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (LLN_SIZE, JOINTS)}
 _ONE_LEVEL = {"policy": (SIZE, JOINTS)}
+_ACTOR = {"actor": (SIZE, JOINTS)}
+_LARGE_BUFFER = 1_000_000  # transitions, SB3's default
 
 
 def _act_hierarchical(folder: Path) -> Policy:
@@ -99,6 +114,14 @@ def _act_hierarchical(folder: Path) -> Policy:
 
 def _act_flat(folder: Path) -> Policy:
     return FlatPolicy(load_networks(folder, _ONE_LEVEL)["policy"], _mirrored(folder))
+
+
+def _act_feudal(folder: Path) -> Policy:
+    return FunPolicy(load_network(folder, (SIZE, JOINTS)), _mirrored(folder))
+
+
+def _act_sac(folder: Path) -> Policy:
+    return SacPolicy(load_networks(folder, _ACTOR, SacSpec)["actor"], _mirrored(folder))
 
 
 def _mirrored(folder: Path) -> bool:
@@ -144,6 +167,32 @@ METHODS: dict[str, Method] = {
             paper_success=0.873,
         ),
         Method(
+            "fun",
+            "FeUdal Networks",
+            "Manager and Worker with goals in a learnt space, for continuous actions",
+            _act_feudal,
+            FunTraining,
+            {"fun": (SIZE, JOINTS)},
+            paper_success=0.918,
+        ),
+        Method(
+            "sac",
+            "SAC",
+            "flat SAC on the environment's reward, with the paper's toolkit's replay buffer",
+            _act_sac,
+            SacTraining,
+            _ACTOR,
+        ),
+        Method(
+            "sac_large_buffer",
+            "SAC, large buffer",
+            "the same with SB3's usual replay buffer of a million transitions; not in the paper",
+            _act_sac,
+            SacTraining,
+            _ACTOR,
+            adapt=lambda config: replace(config, sac=replace(config.sac, buffer_size=_LARGE_BUFFER)),
+        ),
+        Method(
             "ppo_lstm",
             "Recurrent PPO",
             "one recurrent network on the environment's reward; not in the paper",
@@ -153,9 +202,6 @@ METHODS: dict[str, Method] = {
         ),
     )
 }
-
-#: Methods of the paper's Table 1 that the project does not have yet; tables say so.
-PAPER_ONLY: dict[str, tuple[str, float | None]] = {"fun": ("FeUdal Networks", 0.918), "sac": ("SAC", None)}
 
 
 def get_method(name: str) -> Method:
@@ -175,14 +221,5 @@ def load_policy(folder: Path) -> tuple[Method, Policy]:
 
 def export_policy(folder: Path, method: Method, training: Training) -> None:
     """Write what is needed to act."""
-    sizes = method.sizes or {}
-    networks = {}
-    for level, learner in training.learners.items():
-        config = training.config.high if level == "sgn" else training.config.low
-        spec = NetworkSpec(*sizes[level], hidden_units=config.hidden_units, bounded_mean=level == "sgn")
-        networks[level] = (spec, learner.policy)
-    hierarchy = training.config.hierarchy
-    extra: dict[str, Any] = {"mirrored": training.config.mirrored}
-    if "sgn" in networks:
-        extra |= {"interval": hierarchy.interval, "subgoals": hierarchy.subgoals}
-    save_policy(folder, method.name, networks, extra)  # type: ignore[arg-type]
+    extra = {"mirrored": training.config.mirrored, **training.acting()}
+    save_policy(folder, method.name, training.networks(), extra)

@@ -5,9 +5,10 @@ Weights are safetensors, everything else JSON or CSV. Names, shapes and sizes ar
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 import torch as th
@@ -22,6 +23,26 @@ from reproduce.hrl.networks import RecurrentNetwork
 FORMAT = 1
 LARGEST_WEIGHTS = 200_000_000  # bytes
 MOST_UNITS = 4096  # of a layer; bounds what a foreign policy.json can make us allocate
+
+
+class Spec(Protocol):
+    """All that is needed to build a network: a dataclass of whole numbers from 1 up and of truth values."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def observations(self) -> int:
+        """Size of the flat observation."""
+        ...
+
+    @property
+    def actions(self) -> int:
+        """Size of the action."""
+        ...
+
+    def build(self) -> Any:
+        """Make the network, untrained."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -50,7 +71,7 @@ class NetworkSpec:
 def save_policy(
     folder: Path,
     method: str,
-    networks: dict[str, tuple[NetworkSpec, RecurrentNetwork]],
+    networks: Mapping[str, tuple[Spec, th.nn.Module]],
     extra: dict[str, Any],
 ) -> None:
     """Write ``policy.safetensors`` and ``policy.json``."""
@@ -60,7 +81,7 @@ def save_policy(
         for name, tensor in network.state_dict().items()
     }
     write_atomically(folder / "policy.safetensors", lambda path: save_file(tensors, path))
-    specs = {level: asdict(spec) for level, (spec, _) in networks.items()}
+    specs = {level: asdict(cast(Any, spec)) for level, (spec, _) in networks.items()}
     write_json(folder / "policy.json", {"format": FORMAT, "method": method, "networks": specs, **extra})
 
 
@@ -79,12 +100,13 @@ def read_policy_json(folder: Path) -> dict[str, Any]:
     return raw
 
 
-def load_networks(folder: Path, expected: dict[str, tuple[int, int]]) -> dict[str, RecurrentNetwork]:
+def load_networks(folder: Path, expected: dict[str, tuple[int, int]], kind: type[Spec] = NetworkSpec) -> dict[str, Any]:
     """Build and fill the networks of a run folder.
 
     Args:
         folder: The run folder.
         expected: For each level the sizes of observation and action that the method has.
+        kind: What describes each network; its class attribute ``MOST`` may bound some fields more tightly.
 
     Raises:
         UserError: On a missing or damaged file, a wrong name or a wrong shape.
@@ -95,7 +117,7 @@ def load_networks(folder: Path, expected: dict[str, tuple[int, int]]) -> dict[st
         raise UserError(f"{path}: networks: expected {sorted(expected)}, got {sorted(raw['networks'])}")
     networks = {}
     for level, sizes in expected.items():
-        spec = _spec(raw["networks"][level], f"{path}: networks.{level}")
+        spec = _spec(raw["networks"][level], f"{path}: networks.{level}", kind)
         if (spec.observations, spec.actions) != sizes:
             found = (spec.observations, spec.actions)
             raise UserError(f"{path}: networks.{level}: expected observations and actions {sizes}, got {found}")
@@ -115,24 +137,26 @@ def load_networks(folder: Path, expected: dict[str, tuple[int, int]]) -> dict[st
     return networks
 
 
-def _spec(raw: Any, where: str) -> NetworkSpec:
-    names = ("observations", "actions", "hidden_units", "bounded_mean")
+def _spec(raw: Any, where: str, kind: type[Spec]) -> Spec:
+    known = fields(cast(Any, kind))
+    names = [field.name for field in known]
     if not isinstance(raw, dict) or set(raw) != set(names):
         raise UserError(f"{where}: expected {', '.join(names)}, got {raw!r}")
-    for name in names[:3]:
-        value = raw[name]
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_UNITS:
-            raise UserError(f"{where}.{name}: expected an integer from 1 to {MOST_UNITS}, got {value!r}")
-    if not isinstance(raw["bounded_mean"], bool):
-        raise UserError(f"{where}.bounded_mean: expected true or false, got {raw['bounded_mean']!r}")
-    return NetworkSpec(**raw)
+    for field in known:
+        value, most = raw[field.name], getattr(kind, "MOST", {}).get(field.name, MOST_UNITS)
+        if field.type == "bool":
+            if not isinstance(value, bool):
+                raise UserError(f"{where}.{field.name}: expected true or false, got {value!r}")
+        elif isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+            raise UserError(f"{where}.{field.name}: expected an integer from 1 to {most}, got {value!r}")
+    return kind(**raw)
 
 
-def read_tensors(path: Path) -> dict[str, th.Tensor]:
-    """Read a safetensors file of bounded size; runs no code."""
+def read_tensors(path: Path, most: int = LARGEST_WEIGHTS) -> dict[str, th.Tensor]:
+    """Read a safetensors file of at most so many bytes; runs no code."""
     try:
-        if path.stat().st_size > LARGEST_WEIGHTS:
-            raise UserError(f"{path}: larger than {LARGEST_WEIGHTS} bytes")
+        if path.stat().st_size > most:
+            raise UserError(f"{path}: larger than {most} bytes")
         with safe_open(path, framework="pt") as file:
             return {name: file.get_tensor(name) for name in file.keys()}
     except FileNotFoundError:
@@ -141,7 +165,7 @@ def read_tensors(path: Path) -> dict[str, th.Tensor]:
         raise UserError(f"{path}: not a readable safetensors file: {error}") from None
 
 
-def fill(network: RecurrentNetwork, tensors: dict[str, th.Tensor], folder: Path, level: str) -> None:
+def fill(network: th.nn.Module, tensors: dict[str, th.Tensor], folder: Path, level: str) -> None:
     """Copy tensors into a network; names, shapes, types and finiteness must be right."""
     path = folder / "policy.safetensors"
     for name, wanted in network.state_dict().items():

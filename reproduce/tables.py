@@ -9,7 +9,7 @@ import pandas as pd
 
 from reproduce.files import write_atomically
 from reproduce.provenance import record_origin
-from reproduce.registry import METHODS, PAPER_ONLY
+from reproduce.registry import METHODS
 from reproduce.results import RESULTS, Run, reference_runs
 from reproduce.statistics import wilson
 
@@ -38,9 +38,9 @@ def table1(results: Path = RESULTS) -> pd.DataFrame:
 
 
 def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
-    """Table 1 for people: every method of paper and registry, saying where there is no run."""
+    """Table 1 for people: every method, saying where there is no run."""
     table = table1(results)
-    titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()} | PAPER_ONLY
+    titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()}
     rows = []
     for name, (title, paper) in titles.items():
         mine = table[table["method"] == name].to_dict("records")

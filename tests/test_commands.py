@@ -97,37 +97,6 @@ def test_replay_writes_a_film(ending: str, tmp_path: Path) -> None:
     assert out.stat().st_size > 10_000
 
 
-def test_interrupted_and_uninterrupted_training_end_in_the_same_weights(tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    config = replace(METHODS["hrl_dcs"].config("smoke"), steps=1536, n_envs=4, checkpoint_every=2)
-    method = METHODS["hrl_dcs"]
-    train(method, config, 3, tmp_path / "whole", "smoke", quiet=True)
-
-    class Stop(Exception):
-        pass
-
-    from reproduce import training
-
-    save = training.save_checkpoint
-
-    def save_and_stop(*args: object) -> None:
-        save(*args)  # type: ignore[arg-type]
-        raise Stop
-
-    training.save_checkpoint = save_and_stop  # type: ignore[assignment]
-    try:
-        with pytest.raises(Stop):
-            train(method, config, 3, tmp_path / "parts", "smoke", quiet=True)
-        with pytest.raises(UserError, match="resume"):
-            train(method, config, 3, tmp_path / "parts", "smoke", quiet=True)
-    finally:
-        training.save_checkpoint = save
-    train(method, config, 3, tmp_path / "parts", "smoke", resume=True, quiet=True)
-    first, second = (load_file(tmp_path / name / "policy.safetensors") for name in ("whole", "parts"))
-    assert all(th.equal(first[name], second[name]) for name in first)
-
-
 BAD_CALLS = [
     (["train", "hrl_dsc", "--out", "x"], "hrl_dsc"),
     (["train", "scripted", "--out", "x"], "does not learn"),

@@ -524,8 +524,8 @@ def test_what_makes_no_sense_is_refused() -> None:
 
 def test_it_trains_on_the_rescue() -> None:
     smoke = PRESETS["smoke"]
-    config = replace(smoke, n_envs=2, low=replace(smoke.low, n_steps=16, batch_size=16, n_epochs=1, hidden_units=16))
-    training = FunTraining(config, 0, SMALL)
+    low = replace(smoke.low, n_steps=16, batch_size=16, n_epochs=1, hidden_units=16)
+    training = FunTraining(replace(smoke, n_envs=2, low=low, fun=SMALL), 0)
     try:
         before = {name: tensor.clone() for name, tensor in training.learner.policy.state_dict().items()}
         row = training.update(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch as th
@@ -80,6 +80,8 @@ class FunSpec:
         embedding_size: k.
         horizon: c and r.
     """
+
+    MOST: ClassVar[dict[str, int]] = {"horizon": 1000}  # what a foreign run folder may ask for
 
     observations: int
     actions: int

@@ -1,4 +1,4 @@
-"""Acting with a trained FuN policy, and its part of a run folder."""
+"""Acting with a trained FuN policy, and reading it from a run folder."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ import torch as th
 from numpy.typing import NDArray
 
 from reproduce.actions import to_environment
-from reproduce.errors import UserError
 from reproduce.fun.network import FunNetwork, FunSpec, Memory
 from reproduce.mirror import Mirror
 from reproduce.policy import Actions, Observations
-from reproduce.run_folder import MOST_UNITS, fill, read_policy_json, read_tensors
+from reproduce.run_folder import load_networks
 
 LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
-MOST_STEPS = 1000  # of a goal's horizon; bounds what a foreign policy.json can make us allocate
 
 
 class FunPolicy:
@@ -51,39 +49,7 @@ class FunPolicy:
 
 
 def load_network(folder: Path, sizes: tuple[int, int]) -> FunNetwork:
-    """Build and fill the network of a run folder.
-
-    Args:
-        folder: The run folder.
-        sizes: Of observation and action, as the method has them.
-
-    Raises:
-        UserError: On a missing or damaged file, a wrong name or a wrong shape.
-    """
-    path, networks = folder / "policy.json", read_policy_json(folder)["networks"]
-    if set(networks) != {LEVEL}:
-        raise UserError(f"{path}: networks: expected ['{LEVEL}'], got {sorted(networks)}")
-    spec = _spec(networks[LEVEL], f"{path}: networks.{LEVEL}")
-    if (spec.observations, spec.actions) != sizes:
-        found = (spec.observations, spec.actions)
-        raise UserError(f"{path}: networks.{LEVEL}: expected observations and actions {sizes}, got {found}")
-    network = spec.build()
-    tensors = read_tensors(folder / "policy.safetensors")
-    unknown = sorted(set(tensors) - {f"{LEVEL}.{name}" for name in network.state_dict()})
-    if unknown:
-        raise UserError(f"{folder / 'policy.safetensors'}: unknown tensor {unknown[0]!r}")
-    own: Any = network  # any module can be filled
-    fill(own, {name[len(LEVEL) + 1 :]: tensor for name, tensor in tensors.items()}, folder, LEVEL)
-    network.set_training_mode(False)
+    """The network of a run folder whose observation and action have these sizes; see ``load_networks``."""
+    network = load_networks(folder, {LEVEL: sizes}, FunSpec)[LEVEL]
+    assert isinstance(network, FunNetwork)
     return network
-
-
-def _spec(raw: Any, where: str) -> FunSpec:
-    names = list(FunSpec.__dataclass_fields__)
-    if not isinstance(raw, dict) or set(raw) != set(names):
-        raise UserError(f"{where}: expected {', '.join(names)}, got {raw!r}")
-    for name in names:
-        value, most = raw[name], MOST_STEPS if name == "horizon" else MOST_UNITS
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-            raise UserError(f"{where}.{name}: expected an integer from 1 to {most}, got {value!r}")
-    return FunSpec(**raw)

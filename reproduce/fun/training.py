@@ -10,7 +10,7 @@ from stable_baselines3.common.logger import Logger
 from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.fun.config import FunConfig
 from reproduce.fun.learner import FunPPO
-from reproduce.fun.network import FunNetwork
+from reproduce.fun.network import FunNetwork, FunSpec
 from reproduce.fun.policy import LEVEL
 from reproduce.methods.ppo_lstm import EpisodeLog
 from reproduce.methods.stepping import RecurrentTraining, make_environments, own_arguments, stock_arguments
@@ -34,11 +34,11 @@ def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int)
 class FunTraining(RecurrentTraining):
     """Trains Manager and Worker; ``update`` is one rollout and one training of both."""
 
-    def __init__(self, config: TrainingConfig, seed: int, fun: FunConfig | None = None) -> None:
+    def __init__(self, config: TrainingConfig, seed: int) -> None:
         """Start environments and learner."""
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
-        self.learner = make_fun_learner(env, config.low, fun or FunConfig(), seed)
+        self.learner = make_fun_learner(env, config.low, config.fun, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
 
     def update(self, done: int) -> dict[str, Any]:
@@ -49,3 +49,7 @@ class FunTraining(RecurrentTraining):
         for key in ("intrinsic", "goal_cosine", "manager_explained_variance"):
             row[f"{LEVEL}_{key}"] = self.learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
+
+    def networks(self) -> dict[str, tuple[FunSpec, FunNetwork]]:
+        """Manager and Worker are one network; see ``Training``."""
+        return {LEVEL: (self.learner.network.spec, self.learner.network)}

@@ -16,6 +16,7 @@ from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
+from reproduce.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.learners.sequences import Minibatch, Rollout, minibatches, sequence_bounds
 from reproduce.learners.standardiser import Standardiser
 
@@ -57,6 +58,21 @@ class SequencePPO(RecurrentPPO):
         self.return_cuts: NDArray[np.bool_] | None = None
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
+
+    def kept_tensors(self) -> dict[str, th.Tensor]:
+        """See ``reproduce.checkpoint.Learner``."""
+        return {**module_tensors("policy", self.policy), **optimizer_tensors("optimizer", self.policy.optimizer)}
+
+    def kept_numbers(self) -> dict[str, Any]:
+        """See ``reproduce.checkpoint.Learner``."""
+        return {"batch_rng": self.batch_rng.bit_generator.state, "rate_factor": self.rate_factor}
+
+    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+        """See ``reproduce.checkpoint.Learner``."""
+        restore_module("policy", self.policy, tensors)
+        restore_optimizer("optimizer", self.policy.optimizer, tensors)
+        self.batch_rng.bit_generator.state = numbers["batch_rng"]
+        self.rate_factor = float(numbers["rate_factor"])
 
     def rollout(self) -> Rollout:
         """The transitions to train on, environments end to end."""

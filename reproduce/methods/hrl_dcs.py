@@ -11,9 +11,12 @@ import numpy as np
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.logger import Logger
 
+from lunar_rescue.observation import SIZE
+from lunar_rescue.robot import JOINTS
 from reproduce.config import LearnerConfig, TrainingConfig
 from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
 from reproduce.hrl.networks import RecurrentNetwork
+from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE
 from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.methods.stepping import (
     OnlySpaces,
@@ -22,6 +25,7 @@ from reproduce.methods.stepping import (
     own_arguments,
     stock_arguments,
 )
+from reproduce.run_folder import NetworkSpec
 
 
 def make_learner(
@@ -81,3 +85,15 @@ class HierarchicalTraining(RecurrentTraining):
         if rollout is not None and done >= self.config.hierarchy.warmup * self.config.steps:
             self.sgn.external_rollout = rollout
             self.sgn.train()
+
+    def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
+        """Both layers; see ``Training``."""
+        high, low = self.config.high.hidden_units, self.config.low.hidden_units
+        return {
+            "sgn": (NetworkSpec(SIZE, SUBGOAL_SIZE, high, bounded_mean=True), self.sgn.policy),
+            "lln": (NetworkSpec(LLN_SIZE, JOINTS, low, bounded_mean=False), self.lln.policy),
+        }
+
+    def acting(self) -> dict[str, Any]:
+        """N and what sub-goals mean."""
+        return {"interval": self.config.hierarchy.interval, "subgoals": self.config.hierarchy.subgoals}

@@ -9,10 +9,14 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from lunar_rescue.env import OUTCOME
+from lunar_rescue.observation import SIZE
+from lunar_rescue.robot import JOINTS
 from reproduce.actions import to_environment
 from reproduce.config import TrainingConfig
+from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.methods.hrl_dcs import make_learner
 from reproduce.methods.stepping import RecurrentTraining, make_environments
+from reproduce.run_folder import NetworkSpec
 
 
 class EpisodeLog(VecEnvWrapper):
@@ -62,3 +66,7 @@ class FlatTraining(RecurrentTraining):
         self.collect(done)
         self.learner.train()
         return self.row()
+
+    def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
+        """The one network; see ``Training``."""
+        return {"policy": (NetworkSpec(SIZE, JOINTS, self.config.low.hidden_units, False), self.learner.policy)}

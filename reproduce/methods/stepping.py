@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from lunar_rescue.postures import Posture, postures
 from reproduce.config import LearnerConfig, TrainingConfig
-from reproduce.learners.sequence_ppo import SequencePPO
 from reproduce.mirror import Environments, MirroredVecEnv
 from reproduce.sampling import EnvOptions, WorkerVecEnv
 
@@ -71,12 +69,6 @@ def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = N
     return callback or made
 
 
-def follow_schedule(learners: Iterable[BaseAlgorithm], progress: float) -> None:
-    """Tell learners which share of the training is done, for their schedules."""
-    for learner in learners:
-        learner._current_progress_remaining = max(0.0, 1.0 - progress)
-
-
 def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
     """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
     known = postures()
@@ -95,23 +87,26 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
     }
 
 
-class RecurrentTraining:
-    """What trainings with recurrent PPO share; a subclass makes the learners and says what an update does.
+class CollectedTraining:
+    """What all trainings share; a subclass makes the learners and says what an update does.
 
     Attributes:
         config: The configuration.
         venv: The environments.
         env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
         learners: All learners by level.
+        logged: What of each learner's log goes into ``progress.csv``.
     """
 
+    logged: tuple[str, ...] = ()
+
     def __init__(
-        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: dict[str, SequencePPO]
+        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any]
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
         self.config, self.venv, self.env, self.learners = config, venv, env, learners
         self._collector = collector
-        self._callback = start_collecting(collector, config.steps)
+        self.callback = start_collecting(collector, config.steps)
 
     @property
     def steps_per_update(self) -> int:
@@ -121,26 +116,41 @@ class RecurrentTraining:
     def restart(self, update: int) -> None:
         """Begin new episodes with empty memories; what a resumed run does too."""
         self.venv.epoch = update
-        start_collecting(self._collector, self.config.steps, self._callback)
+        start_collecting(self._collector, self.config.steps, self.callback)
 
-    def collect(self, done: int) -> None:
-        """Take one rollout; ``done`` steps were taken before."""
-        follow_schedule(self.learners.values(), done / self.config.steps)
-        steps = self.config.low.n_steps
-        self._collector.collect_rollouts(self.env, self._callback, self._collector.rollout_buffer, steps)
+    def follow_schedule(self, done: int) -> None:
+        """Tell the learners which share of the training is done."""
+        for learner in self.learners.values():
+            learner._current_progress_remaining = max(0.0, 1.0 - done / self.config.steps)
 
     def row(self) -> dict[str, Any]:
         """The row of ``progress.csv`` for what happened since the last one."""
         row = episode_summary(self.env.episodes, self.config.lying_weight)
         self.env.episodes = []
         for name, learner in self.learners.items():
-            for key in ("approx_kl", "explained_variance", "std", "value_loss"):
+            for key in self.logged:
                 row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
+
+    def acting(self) -> dict[str, Any]:
+        """What else than networks is needed to act, plain data."""
+        return {}
 
     def close(self) -> None:
         """Stop the environments."""
         self.venv.close()
+
+
+class RecurrentTraining(CollectedTraining):
+    """What trainings with recurrent PPO share."""
+
+    logged = ("approx_kl", "explained_variance", "std", "value_loss")
+
+    def collect(self, done: int) -> None:
+        """Take one rollout; ``done`` steps were taken before."""
+        self.follow_schedule(done)
+        steps = self.config.low.n_steps
+        self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
 
 
 class OnlySpaces(VecEnv):

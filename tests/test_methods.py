@@ -1,0 +1,88 @@
+"""Every method that learns trains, is interrupted, goes on, is exported, evaluated and replayed by the same code."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch as th
+from safetensors.torch import load_file
+
+from lunar_rescue.observation import SIZE
+from lunar_rescue.robot import JOINTS
+from reproduce import training
+from reproduce.checkpoint import has_checkpoint
+from reproduce.config import PRESETS, TrainingConfig, to_dict
+from reproduce.errors import UserError
+from reproduce.evaluation import evaluate
+from reproduce.registry import METHODS, load_policy
+from reproduce.replay import film
+from reproduce.training import train
+
+LEARNING = [name for name, method in METHODS.items() if method.train is not None]
+
+
+class Stop(Exception):
+    """Raised in place of a kill."""
+
+
+def _small(name: str) -> TrainingConfig:
+    config = METHODS[name].config("smoke")
+    sac = replace(config.sac, learning_starts=256, batch_size=16, hidden_units=16, buffer_size=1024)
+    fun = replace(config.fun, goal_size=16, embedding_size=4, horizon=5)
+    low = replace(config.low, n_epochs=1)
+    return replace(config, steps=1536, n_envs=4, checkpoint_every=2, low=low, sac=sac, fun=fun)
+
+
+@pytest.mark.parametrize("name", LEARNING)
+def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, method, parts = _small(name), METHODS[name], tmp_path / "parts"
+    curve = train(method, config, 3, tmp_path / "whole", "smoke", quiet=True)
+    assert curve["env_steps"].iloc[-1] == 1536
+    save = training.save_checkpoint
+
+    def save_and_stop(*args: object) -> None:
+        save(*args)  # type: ignore[arg-type]
+        raise Stop
+
+    monkeypatch.setattr(training, "save_checkpoint", save_and_stop)
+    with pytest.raises(Stop):
+        train(method, config, 3, parts, "smoke", quiet=True)
+    with pytest.raises(UserError, match="resume"):
+        train(method, config, 3, parts, "smoke", quiet=True)
+    monkeypatch.setattr(training, "save_checkpoint", save)
+    train(method, config, 3, parts, "smoke", resume=True, quiet=True)
+    assert not has_checkpoint(parts)
+    first, second = (load_file(folder / "policy.safetensors") for folder in (tmp_path / "whole", parts))
+    assert first and all(th.equal(first[key], second[key]) for key in first)
+
+    assert evaluate(parts, 2, quiet=True)["tests"] == 2
+    frames, row = film(parts, 0)
+    assert len(frames) > 1 and row["posture"]
+    _, policy = load_policy(parts)
+    seen, starts = np.zeros((3, SIZE), np.float32), np.ones(3, bool)
+    actions = policy.act(seen, starts)
+    assert actions.shape == (3, JOINTS) and np.abs(actions).max() <= 1.0
+
+
+def test_the_ablation_changes_the_obstacle_reward_and_nothing_else() -> None:
+    for preset in PRESETS:
+        full, without = (to_dict(METHODS[name].config(preset)) for name in ("hrl_dcs", "hrl_dcs_no_aapf"))
+        assert full.pop("obstacle_reward") == "aapf" and without.pop("obstacle_reward") == "contact"
+        assert full == without
+    assert METHODS["hrl_dcs"].train is METHODS["hrl_dcs_no_aapf"].train
+    assert METHODS["hrl_dcs"].act is METHODS["hrl_dcs_no_aapf"].act
+
+
+def test_all_methods_meet_the_same_terms() -> None:
+    """Steps, agents, scenes, view and reward weights are one preset's; only what is a method's own differs."""
+    own = {"low", "high", "hierarchy", "fun", "sac", "obstacle_reward"}
+    for preset, config in PRESETS.items():
+        common = {key: value for key, value in to_dict(config).items() if key not in own}
+        for name in LEARNING:
+            found = to_dict(METHODS[name].config(preset))
+            assert {key: value for key, value in found.items() if key not in own} == common
