@@ -35,6 +35,7 @@ def train(
     seed: Annotated[int, typer.Option(help="seed of networks, scenes and minibatches")] = 0,
     steps: Annotated[int | None, typer.Option(help="environment steps instead of the preset's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
+    easy: Annotated[bool, typer.Option("--easy", help="easy scenes: one posture, no rocks, light astronaut")] = False,
 ) -> None:
     """Train a method and write a run folder."""
     from reproduce.registry import get_method
@@ -46,6 +47,8 @@ def train(
         if steps < 1:
             raise UserError(f"--steps: expected at least 1, got {steps}")
         config = replace(config, steps=steps)
+    if easy:
+        config = replace(config, scenes="easy")
     if seed < 0:
         raise UserError(f"--seed: expected at least 0, got {seed}")
     run(chosen, config, seed, out, preset, resume=resume)

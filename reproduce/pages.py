@@ -105,6 +105,7 @@ def rewards_block() -> str:
         ("`obstacle_avoidance`", "-rho log(sum xi / D + 1), the AAPF", f"rho {w.rho:g}, xi {w.xi:g} m"),
         ("`joint_motion`", "-varphi sum \\|change of each joint\\|", f"varphi {w.varphi:g} /rad"),
         ("`time_bonus`", "1 - 0.9 steps / limit, on success", f"times {w.time_bonus:g}"),
+        ("`rescued`", "once, on success (not in the paper)", f"{w.rescued:g}"),
         ("`both_arms_under`", "once, when process 1 is completed (not in the paper)", f"{w.both_arms_under:g}"),
         ("`failure`", "once, when an episode fails before its time (not in the paper)", f"-{w.failure:g}"),
     ]

@@ -76,6 +76,7 @@ class Method:
         act: Makes the policy from a run folder (trained methods) or a seed.
         sizes: For each level the sizes of observation and action.
         adapt: Changes a preset's configuration to this method's.
+        parts: Parts of the configuration that it reads, besides what all have.
         paper_success: Success rate in the paper's Table 1, or None.
     """
 
@@ -86,6 +87,7 @@ class Method:
     train: Callable[[TrainingConfig, int], Training] | None = None
     sizes: dict[str, tuple[int, int]] | None = None
     adapt: Callable[[TrainingConfig], TrainingConfig] = lambda config: config
+    parts: tuple[str, ...] = ("low", "reward")
     paper_success: float | None = None
 
     def config(self, preset: str) -> TrainingConfig:
@@ -154,6 +156,7 @@ METHODS: dict[str, Method] = {
             _act_hierarchical,
             HierarchicalTraining,
             _TWO_LEVELS,
+            parts=("low", "high", "hierarchy", "reward"),
             paper_success=0.986,
         ),
         Method(
@@ -163,6 +166,7 @@ METHODS: dict[str, Method] = {
             _act_hierarchical,
             HierarchicalTraining,
             _TWO_LEVELS,
+            parts=("low", "high", "hierarchy", "reward"),
             adapt=lambda config: replace(config, obstacle_reward="contact"),
             paper_success=0.873,
         ),
@@ -173,6 +177,7 @@ METHODS: dict[str, Method] = {
             _act_feudal,
             FunTraining,
             {"fun": (SIZE, JOINTS)},
+            parts=("low", "fun", "reward"),
             paper_success=0.918,
         ),
         Method(
@@ -182,6 +187,7 @@ METHODS: dict[str, Method] = {
             _act_sac,
             SacTraining,
             _ACTOR,
+            parts=("sac", "reward"),
         ),
         Method(
             "sac_large_buffer",
@@ -190,6 +196,7 @@ METHODS: dict[str, Method] = {
             _act_sac,
             SacTraining,
             _ACTOR,
+            parts=("sac", "reward"),
             adapt=lambda config: replace(config, sac=replace(config.sac, buffer_size=_LARGE_BUFFER)),
         ),
         Method(

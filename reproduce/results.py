@@ -14,6 +14,7 @@ from reproduce.files import read_json
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "results"
 REFERENCE = "reference"
+EASY = "easy"  # short trainings on easy scenes
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,10 @@ class Run:
         return pd.read_csv(path) if path.is_file() else None
 
 
-def reference_runs(results: Path = RESULTS) -> list[Run]:
-    """All reference runs, ordered by method and seed."""
+def reference_runs(results: Path = RESULTS, kind: str = REFERENCE) -> list[Run]:
+    """All runs of a kind, ``REFERENCE`` or ``EASY``, ordered by method and seed."""
     runs = []
-    for folder in sorted((results / REFERENCE).glob("*/seed*")):
+    for folder in sorted((results / kind).glob("*/seed*")):
         number = folder.name.removeprefix("seed")
         if not number.isdigit():
             raise UserError(f"{folder}: expected a folder name seedK with a number K")

@@ -11,7 +11,7 @@ import os
 import signal
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import RawArray
 from typing import Any
@@ -21,13 +21,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from lunar_rescue import Scene, sample_scene
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.robot import JOINTS
+from lunar_rescue.scene import MASS_RANGE
 from reproduce.splits import train_seed
 
 #: Reward terms in the order of the shared array.
-TERMS = ("approach", "obstacle_avoidance", "joint_motion", "time_bonus", "both_arms_under", "failure")
+TERMS = ("approach", "obstacle_avoidance", "joint_motion", "time_bonus", "rescued", "both_arms_under", "failure")
+EASY_POSTURE = "left_side_stride"
 _STEP, _RESET, _CLOSE = b"s", b"r", b"c"
 _SPAWN = multiprocessing.get_context("forkserver")
 
@@ -43,12 +46,12 @@ class EnvOptions:
     Attributes:
         arguments: Keyword arguments of ``LunarRescueEnv``.
         postures: Postures to draw from; empty means all.
-        tasks: Tasks to draw from; empty means all of the posture.
+        easy: Whether all scenes are those of ``easy_scene``.
     """
 
     arguments: dict[str, Any]
     postures: tuple[str, ...] = ()
-    tasks: tuple[str, ...] = ()
+    easy: bool = False
 
 
 def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, NDArray[np.float32]]:
@@ -105,13 +108,15 @@ def _work(
         pipe.send(WorkerError(traceback.format_exc()))
 
 
+def easy_scene(seed: int) -> Scene:
+    """One posture, no rocks, the lightest astronaut: where a method must learn that learns at all."""
+    return replace(sample_scene(seed, posture=EASY_POSTURE), rocks=(), mass=MASS_RANGE[0])
+
+
 def _options(seed: int, options: EnvOptions) -> dict[str, Any]:
-    chosen: dict[str, Any] = {}
-    if options.postures:
-        chosen["posture"] = options.postures[seed % len(options.postures)]
-    if options.tasks:
-        chosen["task"] = options.tasks[(seed // 64) % len(options.tasks)]
-    return chosen
+    if options.easy:
+        return {"scene": easy_scene(seed)}
+    return {"posture": options.postures[seed % len(options.postures)]} if options.postures else {}
 
 
 def _final_info(info: dict[str, Any], vector: NDArray[np.float32], truncated: bool) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from reproduce.files import write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS
 from reproduce.results import RESULTS, Run, reference_runs
-from reproduce.statistics import wilson
+from reproduce.statistics import paired_difference, wilson
 
 COLUMNS = [
     "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
@@ -71,6 +71,26 @@ def write_table1(results: Path = RESULTS) -> Path:
     write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
     record_origin(path)
     return path
+
+
+def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
+    """How much more often ``to`` rescues than each other run, on the same scenes, with intervals.
+
+    Args:
+        results: Folder of results.
+        to: Method that is compared with the others, its first seed.
+        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    """
+    found = {(run.method, run.seed): run.other(name) for run in reference_runs(results)}
+    tested = {key: value for key, value in found.items() if value is not None and value.get("outcomes")}
+    chosen = next((value for (method, _), value in tested.items() if method == to), None)
+    rows = []
+    for (method, seed), other in tested.items():
+        same = chosen is not None and all(other[key] == chosen[key] for key in ("first_seed", "tests"))
+        if chosen is not None and method != to and same:
+            difference, low, high = paired_difference(chosen["outcomes"], other["outcomes"])
+            rows.append((f"{to} - {method} seed {seed}", other["tests"], difference, low, high))
+    return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
 
 
 #: Key of an evaluation and what its groups are.

@@ -18,9 +18,10 @@ from reproduce.evaluation import mass_class
 from reproduce.pages import PAGES, rewritten
 from reproduce.report import with_mathml
 from reproduce.results import ROOT, reference_runs
+from reproduce.settings import settings_table
 from reproduce.splits import train_seed
-from reproduce.statistics import count_by, summarise, wilson
-from reproduce.tables import readable_table1, table1
+from reproduce.statistics import count_by, paired_difference, summarise, wilson
+from reproduce.tables import paired_differences, readable_table1, table1
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -47,8 +48,39 @@ def test_summary_by_hand() -> None:
     assert (found["tests"], found["successes"], found["success_rate"], found["both_arms_under"]) == (4, 2, 0.5, 0.75)
     assert found["by_posture"] == {"a": {"tests": 1, "successes": 1}, "b": {"tests": 3, "successes": 1}}
     assert found["by_posture_and_task"]["b turn_over"] == {"tests": 2, "successes": 1}
-    assert found["failures"] == {"timeout": 2}
+    assert found["failures"] == {"timeout": 2} and found["outcomes"] == "1010"
     assert count_by(episodes, "task")["lift"] == {"tests": 2, "successes": 1}
+
+
+def test_paired_difference_by_hand() -> None:
+    first, second = "1" * 60 + "0" * 40, "1" * 40 + "0" * 25 + "1" * 5 + "0" * 30
+    difference, low, high = paired_difference(first, second)  # 20 times better, 5 times worse
+    assert difference == pytest.approx(0.15)
+    half = 1.959964 * ((20.5 + 5.5 - 15.0**2 / 102) / 102**2) ** 0.5
+    assert (low, high) == pytest.approx((15.0 / 102 - half, 15.0 / 102 + half), abs=1e-6)
+    difference, low, high = paired_difference(first, first)
+    assert difference == 0.0 and low < 0.0 < high
+    for bad in ("1", "", first[:-1] + "2"):
+        with pytest.raises(ValueError, match="outcomes"):
+            paired_difference(first, bad)
+
+
+def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None:
+    for name, outcomes, first in (("hrl_dcs", "1101", 0), ("fun", "1001", 0), ("sac", "0000", 8)):
+        run = tmp_path / "reference" / name / "seed0"
+        run.mkdir(parents=True)
+        told = {"tests": 4, "first_seed": first, "outcomes": outcomes}
+        (run / "evaluation.json").write_text(json.dumps(told))
+    table = paired_differences(tmp_path)
+    assert list(table.index) == ["hrl_dcs - fun seed 0"] and table["difference"].iloc[0] == 0.25
+
+
+def test_every_setting_says_where_it_comes_from() -> None:
+    table = settings_table("laptop")
+    assert table["where from"].str.len().min() > 10
+    buffer, steps = (table.xs(key).to_dict() for key in (("SAC", "buffer_size"), ("training", "steps")))
+    assert (buffer["sac"], buffer["sac_large_buffer"], buffer["fun"]) == (50_000, 1_000_000, "")
+    assert len({value for key, value in steps.items() if key != "where from"}) == 1
 
 
 def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: float = 0.1) -> Path:

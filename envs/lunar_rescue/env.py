@@ -223,6 +223,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         failure = None if success else self._fails(e, touches)
         if success:
             terms["time_bonus"] = self.weights.time_bonus * rewards.time_bonus(e.steps, self.max_steps)
+            terms["rescued"] = self.weights.rescued
         if failure is not None:
             terms["failure"] = -self.weights.failure
         return terms, success, failure
@@ -239,6 +240,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             "obstacle_avoidance": obstacle,
             "joint_motion": rewards.joint_motion(moved, varphi=w.varphi),
             "time_bonus": 0.0,
+            "rescued": 0.0,
             "both_arms_under": 0.0,
             "failure": 0.0,
         }

@@ -120,6 +120,9 @@ class RewardWeights:
     """Joint-motion term [1/rad]."""
     time_bonus: float = 5.0
     """Factor on the time bonus, so that finishing is worth more than any dwelling."""
+    rescued: float = 0.0
+    """Once, at completion, however late; not in the paper. The time bonus alone makes a late rescue worth a tenth of an
+    early one, and policies that earn it prefer haste to success (see the training log)."""
     both_arms_under: float = 2.0
     """Once, when process 1 is completed; not in the paper."""
     failure: float = 2.0

@@ -35,7 +35,7 @@ APPROACH = TERMS.index("approach")
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
 SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion")]
 #: Terms that come once an episode, of which INR has a share.
-MILESTONES = [TERMS.index(name) for name in ("time_bonus", "both_arms_under", "failure")]
+MILESTONES = [TERMS.index(name) for name in ("time_bonus", "rescued", "both_arms_under", "failure")]
 
 
 @dataclass

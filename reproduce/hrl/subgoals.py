@@ -31,7 +31,7 @@ ENDS_SIZE = 6  # two arm ends in three dimensions
 SUBGOAL_SIZE = ENDS_SIZE + 2  # and the rise of two plates
 #: Furthest that SGN moves a sub-goal from its anchor along each axis, or both together, in process 1 and 2 [m]. In
 #: process 1 anchors lie on the way and corrections are small; in process 2 the body has to be taken along.
-REACH = (0.25, 0.4)
+REACH = (0.25, 0.3)
 #: Furthest that it moves either of them away from their common displacement, along each axis [m].
 APART = 0.12
 RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
@@ -44,7 +44,9 @@ RAISED = 0.15  # m, ends so far above the target areas as they were no longer ne
 #: The anchors of process 2 lead the arms, which stand at the same height, by so much: what is raised fast flies off on
 #: the Moon (1 m/s is 0.3 m up), so no anchor waits at transport height [m].
 LEAD = 0.10
-HIGHEST = 0.65  # m, and lie no higher than this over the target areas as they were
+HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were, where a body is turned
+WANTED_RISE = 0.30  # m, where it is lifted they lead until its centre of gravity has risen so much, and then hold
+LOWERED = 0.05  # m, or follow it down by so much where it has risen further
 #: No sub-goal lies further than this from its arm's end when it is set: within reach of N steps, and no faster on the
 #: average than 0.6 m/s. Faster arms push a body face down away [m].
 STRIDE = 0.30
@@ -61,6 +63,7 @@ _TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
 _TO_ENTRIES = slice(SLICES["P_G"].start + 12, SLICES["P_G"].start + 18)
 _LIFT = SLICES["I"].start
 _PROCESS_2 = SLICES["phase"].start
+_CENTRE_Z = SLICES["P_P"].start + 2
 
 
 def arm_ends(observations: Floats) -> Floats:
@@ -141,12 +144,14 @@ class Anchors:
         self._together = meaning == "together"
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
         self._under = np.zeros((count, ENDS_SIZE), np.float32)
+        self._centre = np.zeros(count, np.float32)  # height of the centre of gravity when the episode began
         self._ends = np.zeros((count, ENDS_SIZE), np.float32)
         self._rises = np.zeros(count, np.float32)
         self._carried = np.zeros(count, bool)
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
         """Follow the way in during process 1, and again where the body slid off; else lead the arms up."""
+        self._centre[starts] = observations[starts, _CENTRE_Z]
         lifts = to_be_lifted(observations)
         carries = in_process_2(observations) & ~slipped(observations)
         begins = carries & (starts | ~self._carried)
@@ -155,7 +160,9 @@ class Anchors:
         moved = self._ends - self._under
         raised = moved[:, [2, 5]].mean(axis=1)
         waits = lifts & (moved[:, [0, 3]].min(axis=1) < FURTHER - IN_PLACE) & (raised < RAISED)
-        up = np.where(waits, 0.0, np.minimum(raised + LEAD, HIGHEST))
+        missing = WANTED_RISE - (observations[:, _CENTRE_Z] - self._centre)
+        led = np.where(lifts, raised + np.clip(missing, -LOWERED, LEAD), np.minimum(raised + LEAD, HIGHEST))
+        up = np.where(waits, 0.0, led)
         over = self._under + FURTHER * lifts[:, None] * _AHEAD + up[:, None] * _UP
         self._kept = np.where(carries[:, None], over, next_points(observations)).astype(np.float32)
         self._rises = np.where(carries, TIPS_UP * lifts, TIPS_DOWN).astype(np.float32)

@@ -20,7 +20,7 @@ def make_environments(config: TrainingConfig, seed: int) -> Environments:
     """The environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
     drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
-    options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else ())
+    options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else (), config.scenes == "easy")
     venv = WorkerVecEnv(config.n_envs, seed, options)
     return MirroredVecEnv(venv) if config.mirrored else venv
 
