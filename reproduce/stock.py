@@ -25,8 +25,8 @@ from lunar_rescue import LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.robot import JOINTS
 from reproduce.config import TrainingConfig
-from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
-from reproduce.methods.hrl_dcs import make_learner, sub_goal_view
+from reproduce.hrl.hierarchy import SubGoalVecEnv
+from reproduce.methods.hrl_dcs import make_learner, rescue_goals, sgn_space, sub_goal_view
 from reproduce.methods.stepping import OnlySpaces, start_collecting
 from reproduce.sampling import TERMS
 
@@ -88,9 +88,10 @@ class StockTraining:
         venv = TermsFromInfos(workers)
         self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
-        high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
+        goals = rescue_goals(config)
+        high_env = OnlySpaces(venv.observation_space, sgn_space(goals), config.n_envs)
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
-        self.env = sub_goal_view(venv, self.sgn.policy, config)
+        self.env = sub_goal_view(venv, self.sgn.policy, goals, config)
         self.lln: Any = make(self.env, config.low, bounded_mean=False)
         self._callback = start_collecting(self.lln, config.steps)
 

@@ -179,7 +179,7 @@ def test_high_level_records_add_up(training: HierarchicalTraining) -> None:
     rng = np.random.default_rng(0)
     for _ in range(12):
         env.step(rng.uniform(-1, 1, (training.config.n_envs, 11)).astype(np.float32))
-        total += env.venv.terms.sum(axis=1)
+        total += training.venv.terms.sum(axis=1)
     recorded = [sum(d.reward for d in made) for made in env.recorder.decisions]
     assert recorded == pytest.approx(list(total), abs=1e-4)
     interval = training.config.hierarchy.interval

@@ -16,26 +16,15 @@ import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 from sb3_contrib.common.recurrent.type_aliases import RNNStates
-from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from lunar_rescue.env import OUTCOME
 from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
-from reproduce.actions import to_environment
+from reproduce.hrl.goals import Goals
 from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, distances, in_process_2, lln_observations
 from reproduce.learners.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
-from reproduce.mirror import Environments
-from reproduce.sampling import TERMS
-
-SUBGOAL_SPACE = spaces.Box(-1.0, 1.0, (SUBGOAL_SIZE,), np.float32)
-LLN_SPACE = spaces.Box(-np.inf, np.inf, (LLN_SIZE,), np.float32)
-APPROACH = TERMS.index("approach")
-#: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion")]
-#: Terms that come once an episode, of which INR has a share.
-MILESTONES = [TERMS.index(name) for name in ("time_bonus", "rescued", "both_arms_under", "failure")]
 
 
 @dataclass
@@ -94,45 +83,39 @@ class Recorder:
 class SubGoalVecEnv(VecEnvWrapper):
     """LLN's environment; see the module."""
 
-    venv: Environments
-
     def __init__(
         self,
-        venv: Environments,
+        venv: VecEnv,
         sgn: RecurrentNetwork,
+        goals: Goals,
         interval: int,
         beta: float,
         form: ApproachForm,
         sgn_gamma: float,
-        subgoals: str,
-        pose_share: float,
-        milestone_share: float,
         deterministic: bool = False,
     ) -> None:
         """Wrap environments.
 
         Args:
-            venv: The environments.
+            venv: The environments, whose observations are flat.
             sgn: The high level's network.
+            goals: What a sub-goal is in these environments, and how LLN's outputs become their actions.
             interval: N, steps between sub-goals.
             beta: Weight of INR's approach term.
             form: Form of INR's approach term.
             sgn_gamma: SGN's discount, for values at the step limit.
-            subgoals: What SGN's numbers mean, see ``reproduce.hrl.subgoals``.
-            pose_share: Weight of the environment's approach term in INR during process 2.
-            milestone_share: Weight in INR of what comes once an episode.
             deterministic: Whether SGN commands its mean.
         """
-        super().__init__(venv, observation_space=LLN_SPACE)
-        self._sgn, self._interval, self._beta, self._form = sgn, interval, beta, form
-        self._gamma, self._pose_share, self._milestone_share = sgn_gamma, pose_share, milestone_share
-        self._deterministic = deterministic
+        view = spaces.Box(-np.inf, np.inf, (goals.view_size,), np.float32)
+        acts = spaces.Box(-1.0, 1.0, (goals.actions,), np.float32)
+        super().__init__(venv, observation_space=view, action_space=acts)
+        self._sgn, self._goals, self._interval, self._beta, self._form = sgn, goals, interval, beta, form
+        self._gamma, self._deterministic = sgn_gamma, deterministic
         count = venv.num_envs
-        self._anchors = Anchors(count, subgoals)
         self.recorder = Recorder([[] for _ in range(count)])
-        self.subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
+        self.subgoals = np.zeros((count, goals.size), np.float32)
         self._left = np.zeros(count, np.int64)
-        self._best = np.zeros((count, 2), np.float32)
+        self._best = np.zeros((count, goals.distance_count), np.float32)
         hidden = sgn.lstm_actor.hidden_size
         self._hidden = np.zeros((count, 2, hidden), np.float32)
         self.episodes: list[dict[str, Any]] = []
@@ -143,22 +126,22 @@ class SubGoalVecEnv(VecEnvWrapper):
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
-        observations: Floats = self.venv.reset()
+        observations = np.asarray(self.venv.reset(), np.float32)
         self.recorder = Recorder([[] for _ in range(self.num_envs)])
         self._returns[:] = 0.0
         everything = np.ones(self.num_envs, bool)
-        self._anchors.update(observations, everything)
+        self._goals.update(observations, everything)
         self._decide(observations, everything, everything)
         return self._view(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Send LLN's outputs on as Eq. 3's actions."""
-        self.venv.step_async(to_environment(self._last, actions))
+        """Send LLN's outputs on as the environments' actions."""
+        self.venv.step_async(self._goals.actions_of(self._last, actions))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Step, reward LLN with INR, credit SGN with EXR, and renew sub-goals where N steps are over."""
-        observations, exr, dones, infos = self.venv.step_wait()
-        assert isinstance(observations, np.ndarray)
+        seen, exr, dones, infos = self.venv.step_wait()
+        observations = np.asarray(seen, np.float32)
         ended = observations.copy()  # what the step led to; an ended episode's last observation is in its info
         for index in np.flatnonzero(dones):
             ended[index] = infos[index]["terminal_observation"]
@@ -166,7 +149,7 @@ class SubGoalVecEnv(VecEnvWrapper):
         self._credit(exr, inr, dones, infos, ended)
         self._left -= 1
         starts = np.asarray(dones, bool)
-        self._anchors.update(observations, starts)
+        self._goals.update(observations, starts)
         over = starts | (self._left <= 0)
         self.cuts.append(over)
         self._decide(observations, over, starts)
@@ -174,24 +157,17 @@ class SubGoalVecEnv(VecEnvWrapper):
 
     def _view(self, observations: Floats) -> Floats:
         self._last = observations
-        return lln_observations(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
+        return self._goals.view(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
 
     def _distances(self, observations: Floats) -> Floats:
-        return distances(observations, self.subgoals) + np.float32(SMALLEST_ERROR)
+        return self._goals.distances(observations, self.subgoals) + np.float32(SMALLEST_ERROR)
 
     def _internal_reward(self, observations: Floats) -> Floats:
-        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment.
-
-        In process 2 the way of the body to its goal pose may count too (``pose_share``): how a plate is held decides
-        whether the body stays on it, which no position of an arm's end tells.
-        """
+        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment."""
         distance = self._distances(observations)
         gain = np.exp(self._best - distance) - (1.0 if self._form == "signed" else 0.0)
         self._best = distance  # D_m of the last step, as in the environment's own reward
-        pose = self._pose_share * self.venv.terms[:, APPROACH] * in_process_2(observations)
-        terms = self.venv.terms
-        shared = terms[:, SHARED_TERMS].sum(axis=1) + self._milestone_share * terms[:, MILESTONES].sum(axis=1)
-        inr: Floats = self._beta * gain.mean(axis=1) + shared + pose
+        inr: Floats = self._beta * gain.mean(axis=1) + self._goals.shared_reward(self.venv, observations)
         return inr.astype(np.float32)
 
     def _credit(
@@ -203,14 +179,14 @@ class SubGoalVecEnv(VecEnvWrapper):
             decision.reward += float(exr[index])
             if dones[index]:
                 decision.done = True
-                if infos[index]["TimeLimit.truncated"]:
+                if infos[index].get("TimeLimit.truncated", False):
                     # At the step limit the value of what would have come stands in, as SB3 does for the low level.
                     decision.reward += self._gamma * self._value(ended[index])
-                infos[index]["terminal_observation"] = lln_observations(
+                infos[index]["terminal_observation"] = self._goals.view(
                     ended[index : index + 1], self.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
                 totals = dict(zip(("exr", "inr", "steps"), self._returns[index], strict=True))
-                self.episodes.append({**{k: infos[index][k] for k in OUTCOME}, **totals})
+                self.episodes.append({**{k: infos[index][k] for k in OUTCOME if k in infos[index]}, **totals})
                 self._returns[index] = 0.0
 
     def _value(self, observation: Floats) -> float:
@@ -248,8 +224,8 @@ class SubGoalVecEnv(VecEnvWrapper):
                     bool(starts[index]),
                 )
             )
-        everywhere = np.zeros((self.num_envs, SUBGOAL_SIZE), np.float32)
+        everywhere = np.zeros((self.num_envs, self._goals.outputs), np.float32)
         everywhere[rows] = outputs
-        self.subgoals[rows] = self._anchors.subgoals(everywhere)[rows]
+        self.subgoals[rows] = self._goals.subgoals(everywhere)[rows]
         self._left[rows] = self._interval
         self._best[rows] = self._distances(observations)[rows]

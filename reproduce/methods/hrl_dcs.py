@@ -8,13 +8,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.logger import Logger
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.robot import JOINTS
 from reproduce.config import LearnerConfig, TrainingConfig
-from reproduce.hrl.hierarchy import SUBGOAL_SPACE, SubGoalVecEnv
+from reproduce.hrl.goals import Goals, RescueGoals
+from reproduce.hrl.hierarchy import SubGoalVecEnv
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.subgoals import LLN_SIZE, SUBGOAL_SIZE
 from reproduce.learners.sequence_ppo import SequencePPO
@@ -48,23 +50,40 @@ def make_learner(
     return learner
 
 
-def sub_goal_view(venv: Any, sgn: RecurrentNetwork, config: TrainingConfig) -> SubGoalVecEnv:
+def sub_goal_view(venv: Any, sgn: RecurrentNetwork, goals: Goals, config: TrainingConfig) -> SubGoalVecEnv:
     """LLN's view of environments in which ``sgn`` sets the sub-goals."""
     h = config.hierarchy
-    return SubGoalVecEnv(
-        venv, sgn, h.interval, h.beta, h.form, config.high.gamma, h.subgoals, h.pose_share, h.milestone_share
-    )
+    return SubGoalVecEnv(venv, sgn, goals, h.interval, h.beta, h.form, config.high.gamma)
 
 
-class HierarchicalTraining(RecurrentTraining):
-    """Trains SGN and LLN; one ``update`` is one rollout and one training of each."""
+def rescue_goals(config: TrainingConfig) -> RescueGoals:
+    """Sub-goals of the rescue."""
+    h = config.hierarchy
+    return RescueGoals(config.n_envs, h.subgoals, h.pose_share, h.milestone_share)
 
-    def __init__(self, config: TrainingConfig, seed: int) -> None:
-        """Start environments and learners."""
-        venv = make_environments(config, seed)
-        high_env = OnlySpaces(venv.observation_space, SUBGOAL_SPACE, config.n_envs)
+
+def sgn_space(goals: Goals) -> spaces.Box:
+    """What SGN puts out."""
+    return spaces.Box(-1.0, 1.0, (goals.outputs,), np.float32)
+
+
+class TwoLayerTraining(RecurrentTraining):
+    """Trains SGN and LLN over any environments; one ``update`` is one rollout and one training of each."""
+
+    env: SubGoalVecEnv
+
+    def __init__(self, venv: Any, goals: Goals, config: TrainingConfig, seed: int) -> None:
+        """Make both learners.
+
+        Args:
+            venv: ``config.n_envs`` environments with flat observations.
+            goals: What a sub-goal is in them.
+            config: The configuration.
+            seed: Of networks and minibatches.
+        """
+        high_env = OnlySpaces(venv.observation_space, sgn_space(goals), config.n_envs)
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
-        env = sub_goal_view(venv, self.sgn.policy, config)
+        env = sub_goal_view(venv, self.sgn.policy, goals, config)
         self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)
         super().__init__(config, venv, env, self.lln, {"sgn": self.sgn, "lln": self.lln})
 
@@ -85,6 +104,14 @@ class HierarchicalTraining(RecurrentTraining):
         if rollout is not None and done >= self.config.hierarchy.warmup * self.config.steps:
             self.sgn.external_rollout = rollout
             self.sgn.train()
+
+
+class HierarchicalTraining(TwoLayerTraining):
+    """Of the rescue."""
+
+    def __init__(self, config: TrainingConfig, seed: int) -> None:
+        """Start environments and learners."""
+        super().__init__(make_environments(config, seed), rescue_goals(config), config, seed)
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Both layers; see ``Training``."""

@@ -72,10 +72,11 @@ def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = N
 def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
     """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
     known = postures()
-    shares = [1.0 / _weight(known[e["posture"]], lying_weight) for e in episodes]
+    shares = [1.0 / _weight(known[e["posture"]], lying_weight) if "posture" in e else 1.0 for e in episodes]
 
     def mean(key: str) -> float:
-        return float(np.average([float(e[key]) for e in episodes], weights=shares)) if episodes else float("nan")
+        values = [float(e.get(key, "nan")) for e in episodes]
+        return float(np.average(values, weights=shares)) if episodes else float("nan")
 
     return {
         "episodes": len(episodes),

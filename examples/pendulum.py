@@ -1,0 +1,94 @@
+"""Two layers and FeUdal Networks on an environment that is not ours: Gymnasium's Pendulum-v1.
+
+    python examples/pendulum.py [two_layers|fun] [STEPS]
+
+Nothing of the rescue is used. The goal space is the direction of the pendulum, (cos, sin); SGN says every N steps where
+it should point, LLN turns it there. FeUdal Networks learn their goal space by themselves.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch as th
+from gymnasium.wrappers import TransformReward
+from numpy.typing import NDArray
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from reproduce.config import PRESETS, HierarchyConfig, LearnerConfig, TrainingConfig
+from reproduce.fun.config import FunConfig
+from reproduce.fun.training import make_fun_learner
+from reproduce.hrl.goals import PlainGoals
+from reproduce.methods.hrl_dcs import TwoLayerTraining
+from reproduce.methods.stepping import start_collecting
+
+ENVS = 8
+REWARD_UNIT = 10.0  # Pendulum's reward is up to 16 a step
+
+
+def direction(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Where the pendulum points, (n, 2): Pendulum-v1's observation is cos, sin and speed."""
+    return observations[:, :2]
+
+
+def make_environments() -> DummyVecEnv:
+    """Eight pendulums; their rewards are divided by ``REWARD_UNIT``."""
+
+    def one() -> gymnasium.Env[Any, Any]:
+        return TransformReward(gymnasium.make("Pendulum-v1"), lambda reward: float(reward) / REWARD_UNIT)
+
+    return DummyVecEnv([one] * ENVS)
+
+
+def configuration(steps: int) -> TrainingConfig:
+    """Small networks and short rollouts."""
+    low = LearnerConfig(n_steps=200, batch_size=400, learning_rate=1e-3, hidden_units=32, gae_lambda=0.9, n_epochs=8)
+    high = replace(low, batch_size=80, sequence_length=16)
+    hierarchy = HierarchyConfig(interval=5, sgn_every=1)
+    return replace(PRESETS["smoke"], steps=steps, n_envs=ENVS, low=low, high=high, hierarchy=hierarchy)
+
+
+def two_layers(steps: int, seed: int = 0) -> list[float]:
+    """Train SGN and LLN; return the mean return of the episodes of each update, in Pendulum's own units."""
+    set_random_seed(seed)
+    venv, config = make_environments(), configuration(steps)
+    venv.seed(seed)
+    goals = PlainGoals(venv.observation_space, venv.action_space, direction, reach=1.0)
+    training = TwoLayerTraining(venv, goals, config, seed)
+    return _train(lambda done: float(training.update(done)["return_high"]), steps, training.steps_per_update)
+
+
+def feudal(steps: int, seed: int = 0) -> list[float]:
+    """Train Manager and Worker; see ``two_layers``."""
+    set_random_seed(seed)
+    venv, config = make_environments(), configuration(steps)
+    venv.seed(seed)
+    learner = make_fun_learner(venv, config.low, FunConfig(goal_size=32, embedding_size=8), seed)
+    callback = start_collecting(learner, steps)
+
+    def update(done: int) -> float:
+        learner._current_progress_remaining = 1.0 - done / steps
+        learner.collect_rollouts(venv, callback, learner.rollout_buffer, config.low.n_steps)
+        learner.train()
+        # Every episode of Pendulum is 200 steps, as a rollout is.
+        return float(np.sum(learner.rollout_buffer.rewards) / ENVS)
+
+    return _train(update, steps, config.low.n_steps * ENVS)
+
+
+def _train(update: Callable[[int], float], steps: int, each: int) -> list[float]:
+    th.set_num_threads(1)
+    return [REWARD_UNIT * update(done) for done in range(0, steps, each)]
+
+
+if __name__ == "__main__":
+    which, many = (sys.argv[1:] + ["two_layers", "100000"][len(sys.argv) - 1 :])[:2]
+    returns = {"two_layers": two_layers, "fun": feudal}[which](int(many))
+    for row in range(0, len(returns), 10):
+        print(f"update {row}: mean return {np.nanmean(returns[row : row + 10]):.0f}")
