@@ -23,12 +23,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from sb3_contrib import RecurrentPPO
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.quiet import no_greeting
 from lunar_rescue.robot import JOINTS
 from lunar_rescue.tasks import MAX_STEPS
-from reproduce.config import PRESETS, TrainingConfig
+from reproduce.config import PRESETS, LearnerConfig, TrainingConfig
 from reproduce.errors import UserError
 from reproduce.grounds import measure_grounds
 from reproduce.methods.hrl_dcs import make_learner
@@ -42,6 +43,9 @@ from reproduce.stock import StockTraining, copy_rollout
 from reproduce.training import train
 
 STOCK_UPDATES, LEARNER_ROUNDS = 3, 3
+#: Transitions a minibatch at which learners are compared; the stock one loops over time for each minibatch, so the
+#: smaller they are the slower it is. The headline figure is at the default of ``LearnerConfig``.
+BATCHES, BATCH = (128, 512, 1024), LearnerConfig().batch_size
 ROUNDS = 9  # besides the first, which fills caches
 STEPS = 1000  # at least, of a kind of ground, and of the peer, in a round
 ALL_ENVS = 16  # environments on all cores, for MAX_STEPS steps a round: most end together, once in so many steps
@@ -289,20 +293,31 @@ def _stock_training(config: TrainingConfig, updates: int) -> tuple[float, dict[s
         for _ in range(updates):
             stock.update()
         rate = updates * config.low.n_steps * config.n_envs / (time.perf_counter() - begun)
-        theirs = stock.lln
-        ours = make_learner(
-            OnlySpaces(stock.env.observation_space, stock.env.action_space, config.n_envs), config.low, 0, False
-        )
-        ours.policy.load_state_dict(theirs.policy.state_dict())
         stock.collect()
-        # Before the stock learner reads its buffer, which flattens it for good.
-        copy_rollout(theirs.rollout_buffer, ours.rollout_buffer)
-        seconds: dict[str, list[float]] = {"stock": [], "ours": []}
-        for _ in range(LEARNER_ROUNDS):
-            for name, learner in (("stock", theirs), ("ours", ours)):
-                seconds[name].append(_seconds_of(learner.train))
-    ratios = [theirs / ours for theirs, ours in zip(seconds["stock"], seconds["ours"], strict=True)]
-    return rate, {"learner_ratio": round(median(ratios), 2), "learner_ratio_rounds": [round(r, 2) for r in ratios]}
+        ratios = {batch: _learner_ratios(stock, replace(config.low, batch_size=batch)) for batch in BATCHES}
+        return rate, {
+            "learner_ratio": round(median(ratios[BATCH]), 2),
+            "learner_ratio_rounds": [round(ratio, 2) for ratio in ratios[BATCH]],
+            "learner_ratio_by_batch": {str(batch): round(median(found), 2) for batch, found in ratios.items()},
+        }
+
+
+def _learner_ratios(stock: StockTraining, config: LearnerConfig) -> list[float]:
+    """The stock learner's time over ours, on the same rollout, weights, batch and epochs, in alternation."""
+    spaces = OnlySpaces(stock.env.observation_space, stock.env.action_space, stock.config.n_envs)
+    learners = {
+        "stock": make_learner(spaces, config, 0, False, RecurrentPPO),
+        "ours": make_learner(spaces, config, 0, False),
+    }
+    for learner in learners.values():
+        learner.policy.load_state_dict(stock.lln.policy.state_dict())
+        # Each its own copy: the stock learner flattens its buffer for good when it reads it.
+        copy_rollout(stock.lln.rollout_buffer, learner.rollout_buffer)
+    ratios = []
+    for _ in range(LEARNER_ROUNDS):
+        theirs, ours = (_seconds_of(learners[name].train) for name in ("stock", "ours"))
+        ratios.append(theirs / ours)
+    return ratios
 
 
 def _seconds_of(run: Callable[[], None]) -> float:

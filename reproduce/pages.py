@@ -224,7 +224,10 @@ def _training(b: dict[str, Any]) -> str:
             f"{b['stock_training_steps_per_s']:,.0f} steps/s",
         ),
         ("ratio", f"{b['training_ratio']:.1f}"),
-        ("our learner over the stock one, same rollout, batch and epochs", f"{b['learner_ratio']:.1f}"),
+        *(
+            (f"our learner over the stock one, same rollout and epochs, minibatches of {batch}", f"{ratio:.1f}")
+            for batch, ratio in b["learner_ratio_by_batch"].items()
+        ),
     ]
     return markdown_table(("", ""), rows)
 
