@@ -2,8 +2,8 @@
 
     python examples/pendulum.py [two_layers|fun] [STEPS]
 
-Nothing of the rescue is used. The goal space is the direction of the pendulum, (cos, sin); SGN says every N steps where
-it should point, LLN turns it there. FeUdal Networks learn their goal space by themselves.
+Nothing of the rescue is used. The goal space is the motion of the pendulum, (cos, sin, speed); SGN says every N steps
+how it should move, LLN makes it. FeUdal Networks learn their goal space by themselves.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ from reproduce.methods.hrl_dcs import TwoLayerTraining
 from reproduce.methods.stepping import start_collecting
 
 ENVS = 8
-REWARD_UNIT = 10.0  # Pendulum's reward is up to 16 a step
+REWARD_UNIT = 100.0  # Pendulum's reward is up to 16 a step
+SPEED_UNIT = 8.0  # rad/s, its highest speed
 
 
-def direction(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Where the pendulum points, (n, 2): Pendulum-v1's observation is cos, sin and speed."""
-    return observations[:, :2]
+def motion(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Where the pendulum points and how fast it turns, (n, 3): Pendulum-v1's observation is cos, sin and speed."""
+    return observations / np.array([1.0, 1.0, SPEED_UNIT], np.float32)
 
 
 def make_environments() -> DummyVecEnv:
@@ -48,7 +49,16 @@ def make_environments() -> DummyVecEnv:
 
 def configuration(steps: int) -> TrainingConfig:
     """Small networks and short rollouts."""
-    low = LearnerConfig(n_steps=200, batch_size=400, learning_rate=1e-3, hidden_units=32, gae_lambda=0.9, n_epochs=8)
+    low = LearnerConfig(
+        n_steps=200,
+        batch_size=400,
+        n_epochs=8,
+        learning_rate=1e-3,
+        gamma=0.95,
+        gae_lambda=0.9,
+        hidden_units=32,
+        log_std_init=-0.5,
+    )
     high = replace(low, batch_size=80, sequence_length=16)
     hierarchy = HierarchyConfig(interval=5, sgn_every=1)
     return replace(PRESETS["smoke"], steps=steps, n_envs=ENVS, low=low, high=high, hierarchy=hierarchy)
@@ -58,8 +68,9 @@ def two_layers(steps: int, seed: int = 0) -> list[float]:
     """Train SGN and LLN; return the mean return of the episodes of each update, in Pendulum's own units."""
     set_random_seed(seed)
     venv, config = make_environments(), configuration(steps)
+    config = replace(config, low=replace(config.low, n_steps=100, gamma=0.9))
     venv.seed(seed)
-    goals = PlainGoals(venv.observation_space, venv.action_space, direction, reach=1.0)
+    goals = PlainGoals(venv.observation_space, venv.action_space, motion, reach=1.0)
     training = TwoLayerTraining(venv, goals, config, seed)
     return _train(lambda done: float(training.update(done)["return_high"]), steps, training.steps_per_update)
 
@@ -69,7 +80,12 @@ def feudal(steps: int, seed: int = 0) -> list[float]:
     set_random_seed(seed)
     venv, config = make_environments(), configuration(steps)
     venv.seed(seed)
-    learner = make_fun_learner(venv, config.low, FunConfig(goal_size=32, embedding_size=8), seed)
+    learner = make_fun_learner(
+        venv,
+        config.low,
+        FunConfig(goal_size=32, embedding_size=8, horizon=5, intrinsic_weight=0.02, manager_gamma=0.95),
+        seed,
+    )
     callback = start_collecting(learner, steps)
 
     def update(done: int) -> float:

@@ -202,7 +202,7 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=4_600_000,
+    steps=3_400_000,
     checkpoint_every=48,
     low=LearnerConfig(
         n_steps=128,
@@ -222,14 +222,14 @@ _LAPTOP = TrainingConfig(
         learning_rate=1.0e-3,
         final_learning_rate=2.0e-5,
         desired_kl=0.03,
-        final_desired_kl=0.008,
+        final_desired_kl=0.006,
         gae_lambda=0.9,
         ent_coef=2.0e-4,
-        log_std_init=-1.4,
-        final_log_std=-2.6,
-        noise_share=0.3,
+        log_std_init=-1.3,
+        final_log_std=-2.3,
+        noise_share=0.6,
     ),
-    hierarchy=HierarchyConfig(sgn_every=4),
+    hierarchy=HierarchyConfig(sgn_every=8),
     reward=RewardWeights(time_bonus=1.5, rescued=4.0, failure=1.0),
     lying_weight=2,
 )
