@@ -236,7 +236,13 @@ _LAPTOP = TrainingConfig(
 
 #: Presets by name. ``laptop`` made the reference runs; ``paper`` has the paper's numbers where it gives them.
 PRESETS: dict[str, TrainingConfig] = {
-    "smoke": replace(_LAPTOP, steps=8_192, n_envs=8, low=replace(_LAPTOP.low, n_steps=64, batch_size=256)),
+    "smoke": replace(
+        _LAPTOP,
+        steps=8_192,
+        n_envs=8,
+        low=replace(_LAPTOP.low, n_steps=64, batch_size=256),
+        hierarchy=replace(_LAPTOP.hierarchy, sgn_every=2),
+    ),
     "laptop": _LAPTOP,
     "paper": replace(
         _LAPTOP,
