@@ -29,6 +29,7 @@ from reproduce.hrl.subgoals import (
     FURTHER,
     HIGHEST,
     LEAD,
+    LOWERED,
     REACH,
     RISE,
     RISE_APART,
@@ -37,6 +38,7 @@ from reproduce.hrl.subgoals import (
     SUBGOAL_SIZE,
     TIPS_DOWN,
     TIPS_UP,
+    WANTED_RISE,
     Anchors,
     achieved,
     arm_ends,
@@ -130,10 +132,15 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     lifted[0, _ENDS[2]] += 0.08  # the arms stand 0.04 m higher
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
-    lifted[0, _ENDS[[2, 5]]] = goals[0, [2, 5]] + HIGHEST + 0.2
-    lifted[0, SLICES["P_G"].start + np.array([2, 5])] = lifted[0, _ENDS[[2, 5]]]
-    anchors.update(lifted, ~start)
-    assert not slipped(lifted)[0] and anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + HIGHEST, abs=1e-4)
+    centre = SLICES["P_P"].start + 2
+    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.2, -LOWERED)):  # until the body has risen enough
+        lifted[0, centre] = further[0, centre] + risen
+        anchors.update(lifted, ~start)
+        heights = lifted[0, _ENDS[[2, 5]]]
+        assert not slipped(lifted)[0]
+        assert anchors.subgoals(zero)[0, [2, 5]] - goals[0, [2, 5]] == pytest.approx(
+            (heights - goals[0, [2, 5]]).mean() + lead, abs=1e-5
+        )
     off = under.copy()
     off[0, _ENDS[2]] += SLIPPED[1] + 0.01  # arm A above its target area
     anchors.update(off, ~start)
@@ -145,6 +152,10 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     turning[0, SLICES["I"]] = [0.0, 1.0]
     anchors.update(turning, ~start)
     assert (anchors.subgoals(zero)[0, :6] - goals[0]) == pytest.approx([0, 0, LEAD] * 2, abs=1e-5)
+    high = turning.copy()
+    high[0, _ENDS[[2, 5]]] = goals[0, [2, 5]] + HIGHEST + 0.1
+    anchors.update(high, ~start)
+    assert anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + HIGHEST, abs=1e-5)
     turning[0, _ENDS[2]] = off[0, _ENDS[2]]
     assert not slipped(turning)[0]
 
@@ -277,7 +288,7 @@ def test_workers_step_the_same_whatever_their_number(workers: int) -> None:
             seen.append(observations)
     finally:
         venv.close()
-    assert len(TERMS) == 6
+    assert len(TERMS) == 7
     total = float(np.sum(np.array(seen, np.float64) ** 2))
     reference = _REFERENCE.setdefault("total", total)
     assert total == reference
