@@ -298,7 +298,7 @@ def _stock_training(config: TrainingConfig, updates: int) -> tuple[float, dict[s
         return rate, {
             "learner_ratio": round(median(ratios[BATCH]), 2),
             "learner_ratio_rounds": [round(ratio, 2) for ratio in ratios[BATCH]],
-            "learner_ratio_by_batch": {str(batch): round(median(found), 2) for batch, found in ratios.items()},
+            **{f"learner_ratio_{batch}": round(median(found), 2) for batch, found in ratios.items()},
         }
 
 

@@ -20,6 +20,7 @@ from lunar_rescue.scene import BASE_RANGE, FRICTION_RANGE, HELDOUT_MASSES, MASS_
 from lunar_rescue.simulation import LUNAR_GRAVITY, SOLVER_ITERATIONS, SUBSTEP, Simulation
 from lunar_rescue.splits import SPLITS
 from lunar_rescue.terrain import MAX_SLOPE, MOUND_RADIUS, MOUND_STEEPNESS, MOUNDS, ROUGH_SHARE
+from reproduce.bench import BATCHES
 from reproduce.claims import compute_claims
 from reproduce.files import write_text
 from reproduce.profiling import SHARES
@@ -225,8 +226,11 @@ def _training(b: dict[str, Any]) -> str:
         ),
         ("ratio", f"{b['training_ratio']:.1f}"),
         *(
-            (f"our learner over the stock one, same rollout and epochs, minibatches of {batch}", f"{ratio:.1f}")
-            for batch, ratio in b["learner_ratio_by_batch"].items()
+            (
+                f"our learner over the stock one, same rollout and epochs, minibatches of {batch}",
+                f"{b[f'learner_ratio_{batch}']:.1f}",
+            )
+            for batch in BATCHES
         ),
     ]
     return markdown_table(("", ""), rows)
