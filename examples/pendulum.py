@@ -1,6 +1,6 @@
 """Two layers and FeUdal Networks on an environment that is not ours: Gymnasium's Pendulum-v1.
 
-    python examples/pendulum.py [two_layers|fun] [STEPS]
+    python examples/pendulum.py [--method two_layers|fun] [--steps STEPS]
 
 Nothing of the rescue is used. The goal space is the motion of the pendulum, (cos, sin, speed); SGN says every N steps
 how it should move, LLN makes it. FeUdal Networks learn their goal space by themselves.
@@ -8,7 +8,6 @@ how it should move, LLN makes it. FeUdal Networks learn their goal space by them
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch as th
+import typer
 from gymnasium.wrappers import TransformReward
 from numpy.typing import NDArray
 from stable_baselines3.common.utils import set_random_seed
@@ -103,8 +103,15 @@ def _train(update: Callable[[int], float], steps: int, each: int) -> list[float]
     return [REWARD_UNIT * update(done) for done in range(0, steps, each)]
 
 
-if __name__ == "__main__":
-    which, many = (sys.argv[1:] + ["two_layers", "100000"][len(sys.argv) - 1 :])[:2]
-    returns = {"two_layers": two_layers, "fun": feudal}[which](int(many))
+def main(method: str = "two_layers", steps: int = 100_000) -> None:
+    """Train ``two_layers`` or ``fun`` and print the mean returns of every ten updates."""
+    trainings = {"two_layers": two_layers, "fun": feudal}
+    if method not in trainings:
+        raise typer.BadParameter(f"expected one of {', '.join(trainings)}; got {method!r}")
+    returns = trainings[method](steps)
     for row in range(0, len(returns), 10):
         print(f"update {row}: mean return {np.nanmean(returns[row : row + 10]):.0f}")
+
+
+if __name__ == "__main__":
+    typer.run(main)

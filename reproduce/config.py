@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lunar_rescue.rewards import ApproachForm, RewardWeights
+from reproduce.checks import whole_numbers
 from reproduce.fun.config import FunConfig
 from reproduce.hrl.subgoals import MEANINGS
 
@@ -80,8 +81,7 @@ class HierarchyConfig:
         """Refuse what makes no sense."""
         if self.subgoals not in MEANINGS:
             raise ValueError(f"subgoals: expected one of {MEANINGS}, got {self.subgoals!r}")
-        if isinstance(self.sgn_every, bool) or not isinstance(self.sgn_every, int) or self.sgn_every < 1:
-            raise ValueError(f"sgn_every: expected an integer >= 1, got {self.sgn_every!r}")
+        whole_numbers(self, "sgn_every")
         if self.pose_share < 0.0:
             raise ValueError(f"pose_share: expected a number >= 0, got {self.pose_share!r}")
 
@@ -107,10 +107,7 @@ class SacConfig:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        for name in ("buffer_size", "batch_size", "gradient_steps", "hidden_units"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+        whole_numbers(self, "buffer_size", "batch_size", "gradient_steps", "hidden_units")
 
 
 @dataclass(frozen=True)
@@ -149,10 +146,7 @@ class TrainingConfig:
         """Refuse what makes no sense."""
         if self.scenes not in ("all", "easy"):
             raise ValueError(f"scenes: expected 'all' or 'easy', got {self.scenes!r}")
-        for name in ("steps", "n_envs", "checkpoint_every", "lying_weight"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+        whole_numbers(self, "steps", "n_envs", "checkpoint_every", "lying_weight")
 
 
 def to_dict(config: TrainingConfig) -> dict[str, Any]:

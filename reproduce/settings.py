@@ -10,19 +10,17 @@ from typing import Any
 
 import pandas as pd
 
-from lunar_rescue.rewards import RewardWeights
-from reproduce.config import HierarchyConfig, LearnerConfig, SacConfig, TrainingConfig
-from reproduce.fun.config import FunConfig
+from reproduce.config import PRESETS, TrainingConfig
 from reproduce.registry import METHODS
 
-#: Part of a configuration and what it is called in tables.
-PARTS: dict[str, tuple[str, type]] = {
-    "low": ("learner (of two layers: LLN)", LearnerConfig),
-    "high": ("SGN's learner", LearnerConfig),
-    "hierarchy": ("two layers", HierarchyConfig),
-    "fun": ("Manager and Worker", FunConfig),
-    "sac": ("SAC", SacConfig),
-    "reward": ("reward", RewardWeights),
+#: What parts of a configuration are called in tables.
+TITLES = {
+    "low": "learner (of two layers: LLN)",
+    "high": "SGN's learner",
+    "hierarchy": "two layers",
+    "fun": "Manager and Worker",
+    "sac": "SAC",
+    "reward": "reward",
 }
 
 
@@ -48,10 +46,11 @@ def settings_table(preset: str) -> pd.DataFrame:
     rows: list[dict[str, Any]] = []
     about = notes(TrainingConfig)
     for field in fields(TrainingConfig):
-        if field.name not in PARTS:
+        if field.name not in TITLES:
             values = {name: getattr(config, field.name) for name, config in learning.items()}
             rows.append({"of": "training", "setting": field.name, **values, "where from": about[field.name]})
-    for part, (title, kind) in PARTS.items():
+    for part, title in TITLES.items():
+        kind = type(getattr(PRESETS[preset], part))
         about = notes(kind)
         for field in fields(kind):
             values = {

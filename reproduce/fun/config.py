@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from reproduce.checks import whole_numbers
+
 
 @dataclass(frozen=True)
 class FunConfig:
@@ -30,10 +32,7 @@ class FunConfig:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        for name in ("horizon", "goal_size", "embedding_size"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+        whole_numbers(self, "horizon", "goal_size", "embedding_size")
         for name, most in (("random_goals", 1.0), ("manager_gamma", 1.0), ("manager_gae_lambda", 1.0)):
             _check_number(name, getattr(self, name), most)
         _check_number("intrinsic_weight", self.intrinsic_weight, math.inf)

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from reproduce.actions import to_environment
-from reproduce.fun.network import FunNetwork, FunSpec, Memory
-from reproduce.mirror import Mirror
-from reproduce.policy import Actions, Observations
+from reproduce.fun.network import FunNetwork, FunSpec
+from reproduce.policy import Actions, MirroredPolicy, Observations
 from reproduce.run_folder import load_networks
 
 LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
 
 
-class FunPolicy:
+class FunPolicy(MirroredPolicy):
     """Manager and Worker, both acting every step, with no random goals."""
 
     def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
@@ -29,23 +26,20 @@ class FunPolicy:
             mirrored: Whether it sees scenes through ``reproduce.mirror``.
             deterministic: Whether Worker acts by its mean.
         """
-        self.network, self.mirrored, self._deterministic = network, mirrored, deterministic
-        self._memory: Memory | None = None
+        super().__init__(mirrored)
+        self.network, self._deterministic = network, deterministic
 
-    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
-        if self._memory is None or len(self._memory.clock) != len(observations):
-            self._memory, self._mirror = self.network.empty_memory(len(observations)), Mirror(len(observations))
+    def begin(self, count: int) -> None:
+        """See ``MirroredPolicy``."""
+        self._memory = self.network.empty_memory(count)
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``MirroredPolicy``."""
         self._memory.forget(th.from_numpy(np.asarray(starts, bool)))
-        if self.mirrored:
-            self._mirror.begin(observations, starts)
-        seen = self._mirror.observations(observations)
-        outputs = self.network.step(th.from_numpy(seen), self._memory, self._deterministic).actions.numpy()
-        return self._mirror.actions(to_environment(seen, outputs))
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Nothing to draw: goals are directions in a space that only Manager knows."""
-        return {}
+        actions: Actions = self.network.step(
+            th.from_numpy(observations), self._memory, self._deterministic
+        ).actions.numpy()
+        return actions
 
 
 def load_network(folder: Path, sizes: tuple[int, int]) -> FunNetwork:

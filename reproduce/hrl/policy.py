@@ -12,7 +12,7 @@ from reproduce.actions import to_environment
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.subgoals import ENDS_SIZE, SUBGOAL_SIZE, Anchors, lln_observations
 from reproduce.mirror import Mirror
-from reproduce.policy import Actions, Observations
+from reproduce.policy import Actions, MirroredPolicy, Observations
 
 
 class Memory:
@@ -110,27 +110,19 @@ class HierarchicalPolicy:
         return {"sub-goal": self._mirror.points(self._subgoals[:, :ENDS_SIZE].reshape(-1, 2, 3))}
 
 
-class FlatPolicy:
+class FlatPolicy(MirroredPolicy):
     """One recurrent network, acting every step."""
 
     def __init__(self, network: RecurrentNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
         """Keep the network; see ``HierarchicalPolicy``."""
-        self._network, self._mirrored, self._deterministic = network, mirrored, deterministic
-        self._memory: Memory | None = None
-        self._count = 0
+        super().__init__(mirrored)
+        self._network, self._deterministic = network, deterministic
 
-    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
-        if self._memory is None or len(observations) != self._count:
-            self._memory, self._count = Memory(self._network, len(observations)), len(observations)
-            self._mirror = Mirror(self._count)
-        if self._mirrored:
-            self._mirror.begin(observations, starts)
-        observations = self._mirror.observations(observations)
+    def begin(self, count: int) -> None:
+        """See ``MirroredPolicy``."""
+        self._memory = Memory(self._network, count)
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``MirroredPolicy``."""
         self._memory.forget(starts)
-        outputs = self._memory.act(observations, np.arange(len(observations)), self._deterministic)
-        return self._mirror.actions(to_environment(observations, outputs))
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Nothing to draw."""
-        return {}
+        return self._memory.act(observations, np.arange(len(observations)), self._deterministic)

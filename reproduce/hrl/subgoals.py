@@ -5,9 +5,11 @@ rise of the plate, by which its end lies above its wrist. Plates that slope the 
 no position of an end can tell.
 
 SGN's tanh-bounded output moves them from an anchor, the ends by at most ``REACH``. In process 1 the anchor is, for each
-arm, the entry before the body while its end is high, and the target area once it is low. In process 2 it lies over the
-target area as it was when both arms had got under, ``LEAD`` higher than the arms are now, with plates a little risen;
-where a body that is to be lifted has slid off, it is the way in again. With the targets as anchors from the beginning,
+arm, the entry before the body while its end is high, and the target area once it is low, tips pointing down. In process
+2 it lies over the target area as it was when both arms had got under, ``LEAD`` higher than the arms are now. A lift
+begins ``FURTHER`` under the body, with tips a little up, and its anchors hold once the body has risen by
+``WANTED_RISE``; where the body has slid off, they are the way in again. No sub-goal lies further than ``STRIDE`` from
+its arm. With the targets as anchors from the beginning,
 an untrained SGN sends the arms straight at them and onto the body, and learning starts in a trap (tried, see the
 training log).
 

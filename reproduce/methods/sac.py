@@ -23,14 +23,12 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.robot import JOINTS
-from reproduce.actions import to_environment
 from reproduce.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.config import SacConfig, TrainingConfig
 from reproduce.learners.standardiser import Standardiser
 from reproduce.methods.ppo_lstm import EpisodeLog
 from reproduce.methods.stepping import CollectedTraining, make_environments
-from reproduce.mirror import Mirror
-from reproduce.policy import Actions, Observations
+from reproduce.policy import Actions, MirroredPolicy, Observations
 
 LEVEL = "actor"
 EACH_STEP = TrainFreq(1, TrainFrequencyUnit.STEP)
@@ -178,7 +176,7 @@ class SacTraining(CollectedTraining):
         return {LEVEL: (SacSpec(SIZE, JOINTS, self.config.sac.hidden_units), self.learner.actor)}
 
 
-class SacPolicy:
+class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
     def __init__(self, actor: Actor, mirrored: bool = True) -> None:
@@ -188,19 +186,14 @@ class SacPolicy:
             actor: Trained.
             mirrored: Whether it sees scenes through ``reproduce.mirror``.
         """
-        self._actor, self._mirrored, self._count = actor, mirrored, 0
+        super().__init__(mirrored)
+        self._actor = actor
 
-    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
-        if len(observations) != self._count:
-            self._count, self._mirror = len(observations), Mirror(len(observations))
-        if self._mirrored:
-            self._mirror.begin(observations, starts)
-        seen = self._mirror.observations(observations)
+    def begin(self, count: int) -> None:
+        """Nothing is remembered."""
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``MirroredPolicy``."""
         with th.no_grad():
-            outputs: NDArray[np.float32] = self._actor(th.from_numpy(seen), deterministic=True).numpy()
-        return self._mirror.actions(to_environment(seen, outputs))
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Nothing to draw."""
-        return {}
+            means: Actions = self._actor(th.from_numpy(observations), deterministic=True).numpy()
+        return means
