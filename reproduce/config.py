@@ -196,7 +196,7 @@ def _plain(value: Any, kind: str, where: str) -> Any:
 
 
 _LAPTOP = TrainingConfig(
-    steps=3_400_000,
+    steps=5_000_000,
     checkpoint_every=48,
     low=LearnerConfig(
         n_steps=128,

@@ -102,8 +102,8 @@ def _work(
                 pipe.send(None)
             else:
                 break
-    except (EOFError, KeyboardInterrupt):
-        pass
+    except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
+        pass  # the parent is gone
     except Exception:  # sent to the parent, which raises it by name
         pipe.send(WorkerError(traceback.format_exc()))
 

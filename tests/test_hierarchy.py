@@ -26,18 +26,19 @@ from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.hrl.policy import HierarchicalPolicy
 from reproduce.hrl.subgoals import (
     APART,
+    BETWEEN,
     FURTHER,
     HIGHEST,
     LEAD,
-    LOWERED,
+    PATIENCE,
     REACH,
     RISE,
     RISE_APART,
     SLIPPED,
     STRIDE,
     SUBGOAL_SIZE,
+    TIPS,
     TIPS_DOWN,
-    TIPS_UP,
     WANTED_RISE,
     Anchors,
     achieved,
@@ -119,11 +120,11 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(row, start)
     anchors.update(under, ~start)
     begun = anchors.subgoals(zero)  # a lift begins further under the body
-    assert begun[0, :6] - goals[0] == pytest.approx([FURTHER, 0, 0] * 2, abs=1e-5)
-    assert begun[0, 6:] == pytest.approx([TIPS_UP] * 2)
+    assert begun[0, :6] - goals[0] == pytest.approx([FURTHER["lift"][0], 0, 0] * 2, abs=1e-5)
+    assert begun[0, 6:] == pytest.approx([TIPS["lift"][0]] * 2)
     assert (anchors.subgoals(-np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - begun)[0, 0] == pytest.approx(-REACH[1])
     further = under.copy()
-    further[0, _ENDS[[0, 3]]] += FURTHER
+    further[0, _ENDS[[0, 3]]] += FURTHER["lift"][0]
     anchors.update(further, ~start)
     raised = anchors.subgoals(zero)
     assert (raised - begun)[0] == pytest.approx([0, 0, LEAD] * 2 + [0, 0], abs=1e-5)
@@ -133,7 +134,7 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
     centre = SLICES["P_P"].start + 2
-    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.2, -LOWERED)):  # until the body has risen enough
+    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.2, 0.0)):  # until the body has risen enough
         lifted[0, centre] = further[0, centre] + risen
         anchors.update(lifted, ~start)
         heights = lifted[0, _ENDS[[2, 5]]]
@@ -318,3 +319,37 @@ def test_hrl_dcs_learns_to_get_both_arms_under(tmp_path: object) -> None:
     config = replace(PRESETS["laptop"], steps=250_000)
     curve = train(METHODS["hrl_dcs"], config, 1, Path(str(tmp_path)) / "run", "laptop", quiet=True)
     assert curve["both_arms_under"].tail(12).mean() > 0.3
+
+
+def test_anchors_wait_no_longer_than_their_patience(env: LunarRescueEnv) -> None:
+    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight", task="lift")})
+    under, start, zero = first[None].copy(), np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
+    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, targets(under)[0]
+    anchors = Anchors(1, "together")
+    for step in range(PATIENCE + 1):
+        anchors.update(under, start & (step == 0))
+        up = anchors.subgoals(zero)[0, 2] - arm_ends(under)[0, 2]
+        assert up == pytest.approx(LEAD if step == PATIENCE else 0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("task", ["lift", "turn_over"])
+def test_anchors_of_a_body_face_down_slope_more_and_move_as_they_rise(env: LunarRescueEnv, task: str) -> None:
+    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="prone_straight", task=task)})
+    kind = {"lift": "lift face down", "turn_over": "turn face down"}[task]
+    under, start, zero = first[None].copy(), np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
+    goals = targets(under)[0].copy()
+    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, goals
+    anchors = Anchors(1, "together")
+    anchors.update(under, start)
+    for share in (0.0, 0.5, 1.0):
+        raised = BETWEEN[0] + share * (BETWEEN[1] - BETWEEN[0])
+        row = under.copy()
+        row[0, _ENDS[[2, 5]]] += raised
+        further, tips = (table[kind][0] + share * (table[kind][1] - table[kind][0]) for table in (FURTHER, TIPS))
+        row[0, _ENDS[[0, 3]]] += further  # so that nothing is cut at STRIDE
+        row[0, SLICES["P_G"].start + 2] += raised  # nor the body taken for slid off
+        row[0, SLICES["P_G"].start + 5] += raised
+        anchors.update(row, ~start)
+        places = anchors.subgoals(zero)[0]
+        assert places[[0, 3]] - goals[[0, 3]] == pytest.approx([further] * 2, abs=1e-5)
+        assert places[6:] == pytest.approx([tips] * 2, abs=1e-6)

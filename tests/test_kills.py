@@ -50,9 +50,13 @@ def _wait_for_nobody(session: int, seconds: float = 20.0) -> list[int]:
 
 @pytest.mark.slow
 def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
-    begun = time.monotonic()
-    assert _start(tmp_path / "whole").wait(timeout=120) == 0
-    lasted, expected = time.monotonic() - begun, _digest(tmp_path / "whole")
+    lasted = np.inf  # the shorter of two, as the first one may have been held up
+    for name in ("whole", "again"):
+        begun = time.monotonic()
+        assert _start(tmp_path / name).wait(timeout=120) == 0
+        lasted = min(lasted, time.monotonic() - begun)
+    expected = _digest(tmp_path / "whole")
+    assert _digest(tmp_path / "again") == expected
     rng = np.random.default_rng(0)
     interrupted = resumed = 0
     for number in range(KILLS):
@@ -64,7 +68,8 @@ def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
         process.wait()
         assert not _wait_for_nobody(process.pid), "workers outlived a training that was killed"
         resumed += (folder / NAME).is_file()
-        assert _start(folder).wait(timeout=120) == 0
+        if not (folder / "policy.json").is_file():  # else it had ended before the kill
+            assert _start(folder).wait(timeout=120) == 0
         assert _digest(folder) == expected, number
     assert interrupted >= KILLS - 2 and resumed >= KILLS // 4  # else nothing was tested
 
@@ -72,7 +77,9 @@ def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
     process = _start(tmp_path / "run")
-    time.sleep(6.0)
+    end = time.monotonic() + 60.0
+    while not (tmp_path / "run" / NAME).is_file() and time.monotonic() < end:  # it is well under way then
+        time.sleep(0.05)
     assert len(_alive(process.pid)) > 1
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(timeout=30) != 0

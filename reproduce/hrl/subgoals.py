@@ -7,11 +7,11 @@ no position of an end can tell.
 SGN's tanh-bounded output moves them from an anchor, the ends by at most ``REACH``. In process 1 the anchor is, for each
 arm, the entry before the body while its end is high, and the target area once it is low, tips pointing down. In process
 2 it lies over the target area as it was when both arms had got under, ``LEAD`` higher than the arms are now. A lift
-begins ``FURTHER`` under the body, with tips a little up, and its anchors hold once the body has risen by
-``WANTED_RISE``; where the body has slid off, they are the way in again. No sub-goal lies further than ``STRIDE`` from
-its arm. With the targets as anchors from the beginning,
-an untrained SGN sends the arms straight at them and onto the body, and learning starts in a trap (tried, see the
-training log).
+begins further under the body, with tips a little up, and its anchors hold once the body has risen by ``WANTED_RISE``;
+where the body has slid off, they are the way in again. A body face down wants other ways than one face up: lifted, it
+rolls off plates that do not slope more and come back as they rise, and turned, it wants them to go on under it. No
+sub-goal lies further than ``STRIDE`` from its arm. With the targets as anchors from the beginning, an untrained SGN
+sends the arms straight at them and onto the body, and learning starts in a trap (tried, see the training log).
 
 What the numbers mean is a choice, ``MEANINGS``: a displacement of each arm's sub-goal, or one of both together and one
 of the two apart. The arms have to work together on one body, and with the second SGN's exploration moves them so.
@@ -39,16 +39,20 @@ APART = 0.12
 RISE = 0.15  # m, what a slope counts beside positions: the rise of so much of a plate
 RISE_APART = 0.05  # m, furthest that one plate's rise moves away from that of both together
 TIPS_DOWN = -0.052  # m, rise of the plates in the anchors of process 1: such tips (20 deg) slide in, level ones push
-TIPS_UP = 0.015  # m, and in those of a lift: a body slides off level plates
-FURTHER = 0.10  # m, a lift begins with the ends so far beyond the target areas, or a body face down rolls off
-IN_PLACE = 0.05  # m, near enough to that for going up
+#: In those of process 2 the rise of the plates, from where nothing is raised yet to where it is, and how much further
+#: under the body the ends are, likewise [m]. A body slides off level plates.
+TIPS = {"lift": (0.015, 0.015), "lift face down": (0.015, 0.105), "turn": (0.0, 0.0), "turn face down": (0.03, 0.03)}
+FURTHER = {"lift": (0.10, 0.10), "lift face down": (0.15, 0.0), "turn": (0.0, 0.0), "turn face down": (0.0, 0.30)}
+BETWEEN = (0.05, 0.30)  # m, raised by so much, anchors are on the way from the first to the second
+IN_PLACE = (0.05, 0.08)  # m, near enough to the first for being raised, a body that is face up and one face down
+PATIENCE = 15  # steps to wait for that
+FACE_DOWN = -0.3  # a body is when the upward part of its front is below this as the episode begins
 RAISED = 0.15  # m, ends so far above the target areas as they were no longer need to get there first
 #: The anchors of process 2 lead the arms, which stand at the same height, by so much: what is raised fast flies off on
 #: the Moon (1 m/s is 0.3 m up), so no anchor waits at transport height [m].
 LEAD = 0.10
 HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were, where a body is turned
 WANTED_RISE = 0.30  # m, where it is lifted they lead until its centre of gravity has risen so much, and then hold
-LOWERED = 0.05  # m, or follow it down by so much where it has risen further
 #: No sub-goal lies further than this from its arm's end when it is set: within reach of N steps, and no faster on the
 #: average than 0.6 m/s. Faster arms push a body face down away [m].
 STRIDE = 0.30
@@ -66,6 +70,9 @@ _TO_ENTRIES = slice(SLICES["P_G"].start + 12, SLICES["P_G"].start + 18)
 _LIFT = SLICES["I"].start
 _PROCESS_2 = SLICES["phase"].start
 _CENTRE_Z = SLICES["P_P"].start + 2
+_FRONT_Z = SLICES["P_P"].start + 5
+_KINDS = tuple(TIPS)
+_TIPS, _FURTHER = (np.array([table[kind] for kind in _KINDS], np.float32) for table in (TIPS, FURTHER))
 
 
 def arm_ends(observations: Floats) -> Floats:
@@ -147,6 +154,8 @@ class Anchors:
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
         self._under = np.zeros((count, ENDS_SIZE), np.float32)
         self._centre = np.zeros(count, np.float32)  # height of the centre of gravity when the episode began
+        self._face_down = np.zeros(count, bool)
+        self._waited = np.zeros(count, np.int64)
         self._ends = np.zeros((count, ENDS_SIZE), np.float32)
         self._rises = np.zeros(count, np.float32)
         self._carried = np.zeros(count, bool)
@@ -154,20 +163,27 @@ class Anchors:
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
         """Follow the way in during process 1, and again where the body slid off; else lead the arms up."""
         self._centre[starts] = observations[starts, _CENTRE_Z]
+        self._face_down[starts] = observations[starts, _FRONT_Z] < FACE_DOWN
         lifts = to_be_lifted(observations)
+        kind = 2 * ~lifts + self._face_down  # as in _KINDS
         carries = in_process_2(observations) & ~slipped(observations)
         begins = carries & (starts | ~self._carried)
         self._under[begins] = targets(observations)[begins]
+        self._waited[begins] = 0
         self._ends = arm_ends(observations)
         moved = self._ends - self._under
         raised = moved[:, [2, 5]].mean(axis=1)
-        waits = lifts & (moved[:, [0, 3]].min(axis=1) < FURTHER - IN_PLACE) & (raised < RAISED)
+        on = np.clip((raised - BETWEEN[0]) / (BETWEEN[1] - BETWEEN[0]), 0.0, 1.0)
+        short = _FURTHER[kind, 0] - moved[:, [0, 3]].min(axis=1) > np.where(self._face_down, IN_PLACE[1], IN_PLACE[0])
+        waits = carries & lifts & short & (raised < RAISED) & (self._waited < PATIENCE)
+        self._waited += waits
         missing = WANTED_RISE - (observations[:, _CENTRE_Z] - self._centre)
-        led = np.where(lifts, raised + np.clip(missing, -LOWERED, LEAD), np.minimum(raised + LEAD, HIGHEST))
+        led = np.where(lifts, raised + np.clip(missing, 0.0, LEAD), np.minimum(raised + LEAD, HIGHEST))
         up = np.where(waits, 0.0, led)
-        over = self._under + FURTHER * lifts[:, None] * _AHEAD + up[:, None] * _UP
+        further, tips = (table[kind, 0] + on * (table[kind, 1] - table[kind, 0]) for table in (_FURTHER, _TIPS))
+        over = self._under + further[:, None] * _AHEAD + up[:, None] * _UP
         self._kept = np.where(carries[:, None], over, next_points(observations)).astype(np.float32)
-        self._rises = np.where(carries, TIPS_UP * lifts, TIPS_DOWN).astype(np.float32)
+        self._rises = np.where(carries, tips, TIPS_DOWN).astype(np.float32)
         self._carried = carries
 
     def subgoals(self, outputs: Floats) -> Floats:
