@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 REFERENCE := results/reference
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-slow lint format notebooks report reference evaluate-reference bench bench-peers soak clean
+.PHONY: help setup reproduce test test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers soak clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -31,16 +31,32 @@ test: $(STAMP)  ## lint, types and tests (under 15 minutes on 2 cores)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q -m "not slow and not browser"
 
 test-slow: $(STAMP)  ## learning tests and long physics runs
 	$(BIN)/python -m pytest -q -m slow
+
+test-report: $(STAMP)  ## open every page of results/report in headless Chromium, which Debian's package chromium brings
+	test -f results/report/index.html || $(BIN)/reproduce notebooks --preset smoke
+	$(BIN)/python -m pytest -q -m browser
+
+test-slurm: $(STAMP)  ## run the smoke batch under a real Slurm on this machine (Debian 12, as root) and compare it
+	$(BIN)/python tests/slurm_batch.py
 
 lint: $(STAMP)  ## what pre-commit runs
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy
 
 format: $(STAMP)  ## format the code
 	$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+batch: $(STAMP)  ## everything as a workflow: all methods, training, tests, notebooks, report (PRESET=laptop, SEEDS=0)
+	$(BIN)/reproduce batch --preset $(or $(PRESET),laptop) --methods all --seeds $(or $(SEEDS),0)
+
+timings: $(STAMP)  ## time the smoke batch, one step after the other, for the README's table of commands
+	rm -rf results/scratch/timings
+	$(BIN)/reproduce batch --preset smoke --slots 1 --out results/scratch/timings
+	cp results/scratch/timings/timings.csv results/timings.csv
+	$(BIN)/python -m reproduce.pages
 
 notebooks: $(STAMP)  ## run the notebooks with the laptop preset
 	$(BIN)/reproduce notebooks --preset laptop

@@ -36,10 +36,20 @@ def train(
     steps: Annotated[int | None, typer.Option(help="environment steps instead of the preset's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes: one posture, no rocks, light astronaut")] = False,
+    tensorboard: Annotated[Path | None, typer.Option(help="folder for TensorBoard's logs, too")] = None,
+    as_needed: Annotated[
+        bool,
+        typer.Option(
+            "--as-needed",
+            help="begin, or go on from a checkpoint, or do nothing where the same training has ended; what another "
+            "configuration left is set aside",
+        ),
+    ] = False,
 ) -> None:
     """Train a method and write a run folder."""
     from reproduce.registry import get_method
     from reproduce.training import train as run
+    from reproduce.training import train_as_needed
 
     chosen = get_method(method)
     config = chosen.config(preset)
@@ -51,7 +61,12 @@ def train(
         config = replace(config, scenes="easy")
     if seed < 0:
         raise UserError(f"--seed: expected at least 0, got {seed}")
-    run(chosen, config, seed, out, preset, resume=resume)
+    if as_needed:
+        if resume or tensorboard:
+            raise UserError("--as-needed: goes on by itself and keeps no other log; leave --resume, --tensorboard out")
+        train_as_needed(chosen, config, seed, out, preset)
+    else:
+        run(chosen, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
     typer.echo(f"{out}: trained {method} for {config.steps} steps")
 
 
@@ -98,20 +113,32 @@ def _print_evaluation(result: dict[str, Any]) -> None:
 @app.command()
 def replay(
     run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
-    out: Annotated[Path, typer.Option(help=".mp4, .gif or .png (a strip of pictures)")],
+    out: Annotated[Path, typer.Option(help=".mp4, .gif, .png (a strip) or .html (to look at from all sides)")],
     seed: Annotated[int, typer.Option(help="seed of the scene")] = 0,
     posture: Annotated[str | None, typer.Option(help="draw the scene with this posture")] = None,
     task: Annotated[str | None, typer.Option(help="draw the scene with this task")] = None,
     overlay: Annotated[bool, typer.Option(help="draw targets, sub-goals, mark points and distances")] = True,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
-    """Show one rescue as a film or a strip of pictures."""
+    """Show one rescue as a film, a strip of pictures or in three dimensions."""
     from reproduce.replay import parse_size
     from reproduce.replay import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
     ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
     typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
+
+
+@app.command()
+def export(
+    method: Annotated[str, typer.Argument(help="a method with a trained reference run, such as hrl_dcs")],
+    out: Annotated[Path, typer.Option(help="folder to write; must not be there, or be empty")],
+    seed: Annotated[int | None, typer.Option(help="training seed; the first one without it")] = None,
+) -> None:
+    """Write a reference policy with its model card to a folder that can be uploaded to a model hub."""
+    from reproduce.cards import export as write
+
+    typer.echo(f"{write(method, out, seed)}: written; `reproduce evaluate {out}` takes it")
 
 
 @app.command()
@@ -136,12 +163,61 @@ def notebooks(
         list[str] | None,
         typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME"),
     ] = None,
+    report: Annotated[bool, typer.Option(help="build the report afterwards")] = True,
+    replays: Annotated[bool, typer.Option(help="with 3D replays in it")] = True,
 ) -> None:
     """Run the notebooks with papermill, in order, and build the report."""
     from reproduce.notebooks import run_notebooks
 
-    report = run_notebooks(preset, only=only, assignments=parameter or [])
-    typer.echo(f"{report}: report written")
+    run_notebooks(preset, only=only, assignments=parameter or [])
+    if report:
+        _build_report(replays)
+
+
+@app.command("report")
+def build(replays: Annotated[bool, typer.Option(help="with 3D replays in it")] = True) -> None:
+    """Build the report from the notebooks that were run."""
+    _build_report(replays)
+
+
+def _build_report(replays: bool) -> None:
+    from reproduce.report import build_report
+    from reproduce.results import RESULTS
+
+    typer.echo(f"{build_report(RESULTS / 'notebooks', RESULTS, replays)}: report written")
+
+
+@app.command()
+def batch(
+    preset: Preset = "smoke",
+    methods: Annotated[str, typer.Option(help="names between commas, or all")] = "all",
+    seeds: Annotated[str, typer.Option(help="of the methods that learn, such as 0-4 or 0,2,7")] = "0",
+    out: Annotated[Path | None, typer.Option(help="folder; results/batch/PRESET without it")] = None,
+    profile: Annotated[str, typer.Option(help="local, slurm, or a folder with a Snakemake profile")] = "local",
+    slots: Annotated[int | None, typer.Option(help="jobs at once; one for two cores without it")] = None,
+    threads: Annotated[int | None, typer.Option(help="cores of a job; cores by slots without it")] = None,
+    until: Annotated[
+        str, typer.Option(help="report; tables, which runs no notebooks; or policies, which only trains")
+    ] = "report",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what is left")] = False,
+) -> None:
+    """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
+    from reproduce.registry import METHODS
+    from reproduce.results import RESULTS
+    from reproduce.workflow.batch import default_slots, run_batch
+    from reproduce.workflow.plan import Plan, cores, parse_seeds
+
+    slots = default_slots() if slots is None else slots
+    threads = max(1, cores() // max(1, slots)) if threads is None else threads
+    if threads < 1:
+        raise UserError(f"--threads: expected at least 1, got {threads}")
+    names = list(METHODS) if methods == "all" else [name.strip() for name in methods.split(",")]
+    folder = RESULTS / "batch" / preset if out is None else out
+    run_batch(Plan.make(preset, names, parse_seeds(seeds), threads), folder, profile, slots, until, dry_run, typer.echo)
+    if not dry_run:
+        typer.echo(
+            f"{folder / {'report': 'report/index.html', 'tables': 'tables', 'policies': 'reference'}[until]}: done"
+        )
 
 
 @app.command()
@@ -160,6 +236,15 @@ def table1() -> None:
     from reproduce.tables import write_table1
 
     typer.echo(f"{write_table1()}: written")
+
+
+@app.command()
+def tables() -> None:
+    """Write results/tables/: successes by method, posture, task and failure, which hold no times."""
+    from reproduce.tables import write_tables
+
+    for path in write_tables():
+        typer.echo(f"{path}: written")
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""Runs the notebooks with papermill, in order, and builds the report.
+"""Runs the notebooks with papermill, in order.
 
 papermill only warns of a parameter that a notebook does not know, and takes any type; here names and types are checked
 for all notebooks before the first one runs.
@@ -20,7 +20,6 @@ from papermill.exceptions import PapermillExecutionError
 
 from reproduce.config import PRESETS
 from reproduce.errors import RunFailedError, UserError
-from reproduce.report import build_report
 from reproduce.results import RESULTS, ROOT
 
 SOURCES = ROOT / "notebooks"
@@ -138,7 +137,7 @@ def run_notebooks(
     results: Path = RESULTS,
     sources: Path = SOURCES,
 ) -> Path:
-    """Run notebooks and build the report; return its path.
+    """Run notebooks; return the folder of what came out.
 
     Raises:
         UserError: Before anything runs, on a bad name or value.
@@ -151,7 +150,7 @@ def run_notebooks(
     with _own_kernel():
         for notebook in notebooks:
             _run(notebook, parameters[notebook.name], folder, sources.parent)
-    return build_report(folder, results)
+    return folder
 
 
 def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Path) -> None:

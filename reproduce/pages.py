@@ -6,7 +6,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,20 +24,16 @@ from reproduce.bench import BATCHES
 from reproduce.claims import compute_claims
 from reproduce.files import write_text
 from reproduce.profiling import SHARES
+from reproduce.registry import METHODS
 from reproduce.results import RESULTS, ROOT, runs_of
-from reproduce.tables import readable_table1
+from reproduce.tables import markdown_table, readable_table1
+from reproduce.workflow.items import items, timings
+from reproduce.workflow.plan import Plan
 
 
 def block_pattern(name: str) -> re.Pattern[str]:
     """What finds a block: the line that begins it, what is computed, the line that ends it."""
     return re.compile(rf"(<!-- {name}:begin[^>]*-->\n).*?(<!-- {name}:end -->)", re.DOTALL)
-
-
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table as Markdown."""
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
-    return "\n".join(lines) + "\n"
 
 
 def results_block() -> str:
@@ -295,9 +291,23 @@ def _soak(result: dict[str, Any]) -> str:
     )
 
 
+def commands_block() -> str:
+    """Item of the paper, command, output, minutes."""
+    measured = timings()
+    rows = [
+        (item.what, f"`{item.command}`", f"`results/{item.output}`", item.minutes(measured))
+        for item in items(Plan.make("smoke", list(METHODS), [0], threads=1))
+    ]
+    table = markdown_table(("paper item", "command", "output", "minutes"), rows)
+    return (
+        f"{table}\nMinutes on 2 cores: of trainings and their tests those of the reference runs, of all else those of "
+        "the smoke batch (`results/timings.csv`, written by `make timings`).\n"
+    )
+
+
 #: Page, block, what makes it.
 PAGES: dict[str, dict[str, Callable[[], str]]] = {
-    "README.md": {"results": results_block},
+    "README.md": {"results": results_block, "commands": commands_block},
     "docs/environment.md": {
         "version": version_block,
         "observation": observation_block,

@@ -137,19 +137,6 @@ METHODS: dict[str, Method] = {
     m.name: m
     for m in (
         Method(
-            "scripted",
-            "Script with IK",
-            "inverse kinematics and way-points, no learning",
-            lambda _: ScriptedPolicy(),
-        ),
-        Method(
-            "planner",
-            "Planner, knows all",
-            "knows the scene and tries plans out in a copy of the simulator before it acts, no learning",
-            lambda _: PlannerPolicy(),
-        ),
-        Method("random", "Random actions", "uniform actions, the floor of every comparison", RandomPolicy),
-        Method(
             "hrl_dcs",
             "HRL-DCS",
             "the paper's method: SGN and LLN, AAPF reward",
@@ -207,6 +194,19 @@ METHODS: dict[str, Method] = {
             FlatTraining,
             _ONE_LEVEL,
         ),
+        Method(
+            "scripted",
+            "Script with IK",
+            "inverse kinematics and way-points, no learning",
+            lambda _: ScriptedPolicy(),
+        ),
+        Method(
+            "planner",
+            "Planner, knows all",
+            "knows the scene and tries plans out in a copy of the simulator before it acts, no learning",
+            lambda _: PlannerPolicy(),
+        ),
+        Method("random", "Random actions", "uniform actions, the floor of every comparison", RandomPolicy),
     )
 }
 

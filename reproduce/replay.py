@@ -22,7 +22,7 @@ from reproduce.policy import Actions, Observations
 FRAMES_PER_SECOND = 10  # real time: an action is held for 0.1 s
 LAST_SECONDS = 1.5  # a film stays on its last picture so long
 STRIP_PICTURES = 8
-FORMATS = (".mp4", ".gif", ".png")
+FORMATS = (".mp4", ".gif", ".png", ".html")
 SIZE_RANGE = (128, 1920)  # px
 
 
@@ -136,6 +136,12 @@ def replay(
     """Write one rescue to a file; its ending says the format. See ``film``."""
     if out.suffix not in FORMATS:
         raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")
+    if out.suffix == ".html":
+        from reproduce.replay3d import record, write_replay
+
+        recording = record(where, seed, posture, task)
+        write_replay(recording, out)
+        return recording.row
     frames, row = film(where, seed, posture, task, overlay=overlay, size=size)
     write_atomically(out, lambda path: _write(path, out.suffix, frames))
     return row

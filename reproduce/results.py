@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from reproduce.errors import UserError
 from reproduce.files import read_json
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "results"
+COMMITTED = ROOT / "results"
+#: Where commands look for results and write them; a batch has a folder of its own.
+RESULTS = Path(os.environ.get("REPRODUCE_RESULTS") or COMMITTED).resolve()
 REFERENCE = "reference"
 EASY = "easy"  # short trainings on easy scenes
 

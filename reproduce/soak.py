@@ -36,7 +36,7 @@ from lunar_rescue.terrain import KINDS
 from reproduce.errors import RunFailedError, UserError
 from reproduce.files import write_json
 from reproduce.provenance import provenance
-from reproduce.results import RESULTS
+from reproduce.results import COMMITTED
 
 STEPS = 1_000_000
 FIRST_SEED = 3_000_000  # of the scenes; the training split, where nothing is tested
@@ -291,7 +291,7 @@ def run_soak(steps: int, path: Path | None, quiet: bool = False) -> dict[str, An
     records = soak(steps, quiet=quiet)
     faults = judge(records)
     result = summary(records, faults)
-    path = path or (RESULTS / "soak.json" if steps >= STEPS else None)
+    path = path or (COMMITTED / "soak.json" if steps >= STEPS else None)
     if path:
         write_json(path, result)
     if faults:

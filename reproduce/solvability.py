@@ -23,10 +23,10 @@ from reproduce.files import write_atomically, write_json
 from reproduce.methods.planner import PlannerPolicy
 from reproduce.planning.planner import VARIANTS, RescuePlanner
 from reproduce.provenance import provenance, record_origin
-from reproduce.results import RESULTS
+from reproduce.results import COMMITTED
 from reproduce.statistics import count_by, wilson
 
-FOLDER = RESULTS / "solvability"
+FOLDER = COMMITTED / "solvability"
 #: Column of a scene's row and what its share tells.
 SHARES = {
     "process1": "both arms under, without contact with rocks",

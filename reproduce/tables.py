@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from reproduce.files import write_atomically
+from reproduce.files import read_json, write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS
 from reproduce.results import RESULTS, Run, reference_runs
@@ -17,6 +19,10 @@ COLUMNS = [
     "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
     "paper_success_rate",
 ]  # fmt: skip
+
+
+#: Files of a run folder that are no evaluations.
+NOT_EVALUATIONS = ("config", "policy", "run")
 
 
 def table1(results: Path = RESULTS) -> pd.DataFrame:
@@ -58,6 +64,13 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table as Markdown."""
+    cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in [head, *rows]]
+    lines = ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
 
 
 def _percent(rate: float) -> str:
@@ -129,3 +142,45 @@ def layers(run: Run) -> pd.DataFrame:
             rows.append((title, found["tests"], found["both_arms_under"], rate, low, high))
     columns = ["policy", "tests", "both arms under", "success", "low", "high"]
     return pd.DataFrame(rows, columns=columns).set_index("policy")
+
+
+def evaluations(results: Path = RESULTS) -> list[tuple[Run, str, dict[str, Any]]]:
+    """Every evaluation of every run: the run, the evaluation's name and what it holds."""
+    found = []
+    for run in reference_runs(results):
+        for path in sorted(run.folder.glob("*.json")):
+            if path.stem not in NOT_EVALUATIONS:
+                found.append((run, path.stem, read_json(path, "evaluation")))
+    return found
+
+
+def write_tables(results: Path = RESULTS) -> list[Path]:
+    """Write ``tables/``: what came out, without times, so that the same work gives the same bytes."""
+    success: list[dict[str, Any]] = []
+    groups: list[pd.DataFrame] = []
+    failures: list[dict[str, Any]] = []
+    for run, name, found in evaluations(results):
+        key: dict[str, Any] = {"method": run.method, "seed": run.seed, "evaluation": name}
+        kept = ("first_seed", "tests", "successes", "success_rate", "wilson_low", "wilson_high", "both_arms_under")
+        more: dict[str, Any] = {k: found[k] for k in ("mean_return", "mean_steps") if k in found}
+        success.append({**key, "env_steps": run.env_steps, **{k: found[k] for k in kept}, **more})
+        groups.append(by_condition(found).reset_index().assign(**key))
+        failures += [{**key, "failure": word, "tests": count} for word, count in found["failures"].items()]
+    tables: dict[str, pd.DataFrame] = {
+        "success": pd.DataFrame(success),
+        "conditions": pd.concat(groups) if groups else pd.DataFrame(),
+        "failures": pd.DataFrame(failures),
+        "paired_test": paired_differences(results).reset_index(),
+        "paired_heldout": paired_differences(results, name="heldout").reset_index(),
+    }
+    written = []
+    for name, table in tables.items():
+        path = results / "tables" / f"{name}.csv"
+        write_atomically(path, partial(_write_csv, table))
+        record_origin(path)
+        written.append(path)
+    return written
+
+
+def _write_csv(table: pd.DataFrame, path: Path) -> None:
+    table.to_csv(path, index=False)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +19,11 @@ from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.checkpoint import Progress, delete_checkpoint, has_checkpoint, load_checkpoint, save_checkpoint
 from reproduce.config import TrainingConfig, to_dict
 from reproduce.errors import UserError
-from reproduce.files import write_atomically, write_json
+from reproduce.files import read_json, write_atomically, write_json
 from reproduce.provenance import provenance
 from reproduce.registry import Method, Training, export_policy
 
+LOCK = ".lock"
 THREADS = 1  # for networks of this size one thread is faster than two (measured), and workers need the other core
 
 
@@ -30,8 +35,19 @@ def train(
     preset: str,
     resume: bool = False,
     quiet: bool = False,
+    tensorboard: Path | None = None,
 ) -> pd.DataFrame:
     """Train a method and write its run folder; return the rows of ``progress.csv``.
+
+    Args:
+        method: What to train.
+        config: Its configuration.
+        seed: Of networks, scenes and minibatches.
+        folder: To write.
+        preset: Name that the configuration comes from.
+        resume: Go on from the folder's checkpoint.
+        quiet: No progress bar.
+        tensorboard: Folder for TensorBoard's logs of what ``progress.csv`` holds, if wanted.
 
     Raises:
         UserError: When the method does not learn, the folder holds a finished run, or there is nothing to resume.
@@ -39,13 +55,7 @@ def train(
     if method.train is None:
         raise UserError(f"method: {method.name!r} does not learn; evaluate it as it is")
     _check_folder(folder, resume)
-    complete = {
-        "method": method.name,
-        "preset": preset,
-        "seed": seed,
-        "environment_version": ENVIRONMENT_VERSION,
-        "training": to_dict(config),
-    }
+    complete = _complete(method, config, seed, preset)
     origin = provenance()  # of the code that trains; the checkout may move on while it does
     th.set_num_threads(THREADS)
     set_random_seed(seed)
@@ -57,11 +67,80 @@ def train(
             rows = _read_rows(folder, progress.update)
             training.restart(progress.update)
         write_json(folder / "config.json", complete)
-        rows = _loop(training, complete, folder, progress, rows, quiet)
+        with _logged(tensorboard, progress.steps) as log:
+            rows = _loop(training, complete, folder, progress, rows, quiet, log)
         _finish(training, method, complete, folder, rows, origin)
     finally:
         training.close()
     return pd.DataFrame(rows)
+
+
+@contextmanager
+def _logged(folder: Path | None, steps: int) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Something that takes rows of ``progress.csv`` and logs them for TensorBoard, or forgets them.
+
+    Args:
+        folder: Where the logs go, or None.
+        steps: Already done; what was logged beyond them before an interruption is superseded.
+    """
+    if folder is None:
+        yield lambda row: None
+        return
+    from torch.utils.tensorboard.writer import SummaryWriter  # takes seconds
+
+    def log(row: dict[str, Any]) -> None:
+        for name, value in row.items():
+            if name not in ("update", "env_steps") and math.isfinite(value):
+                part = name.split("_")[0] if "_" in name else "training"
+                writer.add_scalar(f"{part}/{name}", value, row["env_steps"])
+
+    with SummaryWriter(str(folder), purge_step=steps or None) as writer:
+        yield log
+
+
+def train_as_needed(
+    method: Method, config: TrainingConfig, seed: int, folder: Path, preset: str, quiet: bool = False
+) -> None:
+    """Train, as a step of a batch that may be started again at any time.
+
+    A folder that holds the same training, finished, is left as it is; an unfinished one is gone on with. What another
+    configuration, seed or environment version left there is set aside under another name. A second process waits for
+    the first.
+    """
+    wanted = _complete(method, config, seed, preset)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("w", encoding="utf-8") as lock:
+        # A training may outlive the batch that started it; the kernel frees the lock when it ends, however it does.
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        there = folder / "config.json"
+        if there.is_file() and read_json(there, "configuration of a run") != wanted:
+            _set_aside(folder)
+        if (folder / "run.json").is_file():
+            return
+        train(method, config, seed, folder, preset, resume=has_checkpoint(folder), quiet=quiet)
+
+
+def _set_aside(folder: Path) -> None:
+    """Move what is in a run folder to one beside all runs, so that nothing takes it for this one."""
+    superseded = folder.parent.parent.parent / "superseded"
+    number = 1
+    while (target := superseded / f"{folder.parent.name}-{folder.name}-{number}").exists():
+        number += 1
+    target.mkdir(parents=True)
+    for path in list(folder.iterdir()):
+        if path.name != LOCK:
+            path.rename(target / path.name)
+
+
+def _complete(method: Method, config: TrainingConfig, seed: int, preset: str) -> dict[str, Any]:
+    """What ``config.json`` holds."""
+    return {
+        "method": method.name,
+        "preset": preset,
+        "seed": seed,
+        "environment_version": ENVIRONMENT_VERSION,
+        "training": to_dict(config),
+    }
 
 
 def _check_folder(folder: Path, resume: bool) -> None:
@@ -84,6 +163,7 @@ def _loop(
     progress: Progress,
     rows: list[dict[str, Any]],
     quiet: bool,
+    log: Callable[[dict[str, Any]], None],
 ) -> list[dict[str, Any]]:
     config = training.config
     begun = time.monotonic() - progress.seconds
@@ -96,6 +176,7 @@ def _loop(
             steps, update = steps + training.steps_per_update, update + 1
             seconds = time.monotonic() - begun
             rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
+            log(rows[-1])
             bar.update(training.steps_per_update)
             bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
             if update % config.checkpoint_every == 0 and steps < config.steps:

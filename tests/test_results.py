@@ -16,7 +16,7 @@ from reproduce.claims import compute_claims
 from reproduce.errors import UserError
 from reproduce.evaluation import mass_class
 from reproduce.pages import PAGES, rewritten
-from reproduce.report import with_mathml
+from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.results import ROOT, reference_runs
 from reproduce.settings import settings_table
 from reproduce.splits import train_seed
@@ -177,9 +177,12 @@ def test_pages_hold_what_code_and_results_say(page: str) -> None:
 
 
 def test_mathematics_becomes_mathml_outside_code() -> None:
-    made = with_mathml("cost $a^2$ and `$HOME` and $$\\sum_i x_i$$")
-    assert made.count("<math") == 2 and "`$HOME`" in made
-    assert with_mathml("5 $ and 6 $") == "5 $ and 6 $"
+    pieces: dict[str, str] = {}
+    marked = mark_mathematics("cost $a^2$ and `$HOME` and $$\\sum_i x_i$$", pieces, "01")
+    assert "<math" not in marked and "$a" not in marked and "`$HOME`" in marked
+    made = fill_in(marked, pieces)
+    assert made.count("<math") == 2 and "@@" not in made
+    assert mark_mathematics("5 $ and 6 $", {}, "01") == "5 $ and 6 $"
 
 
 def test_conditions_of_a_scene_are_counted_where_rows_tell_them() -> None:

@@ -307,11 +307,14 @@ class StageSet:
             origin, axes = base_frame(episode)
             self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
         self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
-        rotation = turn @ episode.body.rotation
-        centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
-        quaternion = Rotation.from_matrix(rotation).as_quat()
+        centre, quaternion = suit_pose(episode, turn)
         self.stage.place(self._suit, centre, quaternion)
         return new
+
+    @property
+    def robot(self) -> int:
+        """The robot's handle on the stage."""
+        return self._robot
 
     def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
         self.stage.clear()
@@ -334,6 +337,14 @@ class StageSet:
 
     def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
         return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
+
+
+def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
+    """Place (3,) [m] and quaternion (4,), x y z w, of the suit's meshes; ``turn`` turns all about the origin (3, 3)."""
+    turn = np.eye(3) if turn is None else turn
+    rotation = turn @ episode.body.rotation
+    centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
+    return centre, Rotation.from_matrix(rotation).as_quat()
 
 
 def sun_camera(camera: Camera) -> Camera:

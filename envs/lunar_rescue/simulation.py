@@ -355,6 +355,37 @@ def _about_z(yaw: float) -> tuple[float, float, float, float]:
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
+#: Geometries of ``Stage.visual_shapes``.
+_SHAPES = {
+    pb.GEOM_SPHERE: "sphere",
+    pb.GEOM_BOX: "box",
+    pb.GEOM_CYLINDER: "cylinder",
+    pb.GEOM_CAPSULE: "capsule",
+    pb.GEOM_MESH: "mesh",
+}
+
+
+@dataclass(frozen=True)
+class VisualShape:
+    """One shape of a link.
+
+    Attributes:
+        link: Its index, -1 for the base.
+        kind: sphere, box, cylinder, capsule or mesh.
+        size: Extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m].
+        position: In the link's frame [m].
+        quaternion: In the link's frame, x y z w.
+        colour: Red, green, blue from 0 to 1.
+    """
+
+    link: int
+    kind: str
+    size: tuple[float, float, float]
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    colour: tuple[float, float, float]
+
+
 class Stage:
     """Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
 
@@ -424,6 +455,21 @@ class Stage:
         rows = [self._client.getJointInfo(handle, i) for i in range(self._client.getNumJoints(handle))]
         colours = {int(row[1]): tuple(row[7][:3]) for row in self._client.getVisualShapeData(handle)}
         return handle, {row[1].decode(): row[0] for row in rows}, colours
+
+    def visual_shapes(self, handle: int) -> list[VisualShape]:
+        """What of a body is seen."""
+        return [
+            VisualShape(int(row[1]), _SHAPES[row[2]], tuple(row[3]), tuple(row[5]), tuple(row[6]), tuple(row[7][:3]))
+            for row in self._client.getVisualShapeData(handle)
+        ]
+
+    def link_poses(self, handle: int) -> dict[int, tuple[Array, Array]]:
+        """Place (3,) [m] and quaternion (4,), x y z w, of each link's frame; -1 is the base."""
+        links = range(self._client.getNumJoints(handle))
+        poses = {-1: self._client.getBasePositionAndOrientation(handle)}
+        states = self._client.getLinkStates(handle, list(links), computeForwardKinematics=True)
+        poses |= {link: state[4:6] for link, state in zip(links, states, strict=True)}
+        return {link: (np.array(place), np.array(turn)) for link, (place, turn) in poses.items()}
 
     def paint(self, handle: int, link: int, colour: tuple[float, ...]) -> None:
         """Give one link (-1 is the base) another colour."""

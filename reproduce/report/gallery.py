@@ -1,0 +1,89 @@
+"""The report's 3D replays: a success and a failure of each method, and every posture."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import torch as th
+
+from lunar_rescue import sample_scene
+from lunar_rescue.postures import postures
+from reproduce.registry import METHODS
+from reproduce.results import Run
+
+MOST_SCENES = 3000  # looked through for a posture
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One replay to be shown.
+
+    Attributes:
+        group: Heading that it belongs to.
+        label: What the reader clicks on.
+        where: Run folder or a method's name.
+        seed: Of the scene.
+        file: Name of its page.
+    """
+
+    group: str
+    label: str
+    where: str
+    seed: int
+    file: str
+
+
+def choose_clips(runs: list[Run]) -> list[Clip]:
+    """A success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
+    clips = []
+    for run in runs:
+        if run.evaluation is None or not run.evaluation.get("outcomes"):
+            continue
+        title = METHODS[run.method].title + (f", seed {run.seed}" if run.origin else "")
+        for digit, word in (("1", "success"), ("0", "failure")):
+            place = run.evaluation["outcomes"].find(digit)
+            if place >= 0:
+                seed = int(run.evaluation["first_seed"]) + place
+                name = f"{run.method}-{run.seed}-{word}.html"
+                clips.append(Clip(title, f"{word}: scene {seed}", _where(run), seed, name))
+    shown = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)
+    where, who = (_where(shown), METHODS["hrl_dcs"].title) if shown else ("scripted", METHODS["scripted"].title)
+    wanted = set(postures())
+    for seed in range(MOST_SCENES):
+        scene = sample_scene(seed)
+        if scene.posture in wanted:
+            wanted.discard(scene.posture)
+            label = f"{scene.posture.replace('_', ' ')} ({scene.task.replace('_', ' ')}, scene {seed})"
+            clips.append(Clip(f"The 20 postures, {who}", label, where, seed, f"posture-{scene.posture}.html"))
+        if not wanted:
+            break
+    return clips
+
+
+def _where(run: Run) -> str:
+    return str(run.folder) if run.origin else run.method
+
+
+def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
+    """Write the replays' pages; return how each one ended, in words."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("forkserver"), _prepare) as pool:
+        endings = list(pool.map(_make, clips, [folder] * len(clips)))
+    return dict(zip(clips, endings, strict=True))
+
+
+def _prepare() -> None:
+    th.set_num_threads(1)
+
+
+def _make(clip: Clip, folder: Path) -> str:
+    from reproduce.replay import ending
+    from reproduce.replay3d import record, write_replay
+
+    recording = record(clip.where, clip.seed)
+    write_replay(recording, folder / clip.file)
+    return f"{ending(recording.row)} after {recording.row['steps'] / 10:.1f} s"

@@ -1,0 +1,117 @@
+"""Batches that are killed, run out of disk or may not write, and go on; and what the workflow itself costs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from reproduce.errors import RunFailedError, UserError
+from reproduce.workflow.batch import run_batch
+from reproduce.workflow.plan import Plan
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
+KILLS = 30
+METHODS = "random,ppo_lstm,hrl_dcs"
+
+
+def start(out: Path, log: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "reproduce", "batch", "--preset", "smoke", "--methods", METHODS, "--slots", "2"]
+    with log.open("ab") as sink:
+        return subprocess.Popen([*command, "--out", str(out)], stdout=sink, stderr=sink, start_new_session=True)
+
+
+def tables(out: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((out / "tables").glob("*.csv"))}
+
+
+def processes(session: int) -> list[int]:
+    """Of a session, the batch's own one first."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+            except (OSError, IndexError):
+                continue
+            if int(fields[3]) == session and fields[0] != "Z":
+                found.append(int(entry.name))
+    return sorted(found)
+
+
+def test_thirty_kills_change_no_table(tmp_path: Path) -> None:
+    """The batch, Snakemake, trainings, their workers, evaluations and notebooks are killed, whichever is drawn."""
+    log = tmp_path / "log"
+    assert start(tmp_path / "whole", log).wait() == 0, log.read_text()[-2000:]
+    expected = tables(tmp_path / "whole")
+    assert {"success.csv", "conditions.csv"} <= set(expected)
+    rng = np.random.default_rng(0)
+    kills, number = 0, 0
+    while kills < KILLS:
+        number += 1
+        out = tmp_path / f"killed{number}"
+        while True:
+            process = start(out, log)
+            if kills < KILLS:
+                end = time.monotonic() + float(rng.uniform(4.0, 20.0))
+                while time.monotonic() < end and process.poll() is None:
+                    time.sleep(0.1)
+            alive = processes(process.pid) if process.poll() is None and kills < KILLS else []
+            if alive:
+                os.kill(int(rng.choice(alive)), signal.SIGKILL)
+                kills += 1
+            if process.wait() == 0 and (out / "report" / "index.html").is_file():
+                break
+        assert tables(out) == expected, f"after {kills} kills"
+
+
+def test_the_workflow_costs_little(tmp_path: Path) -> None:
+    """8 jobs in two slots take at most 1.15 times half the sum of their times."""
+    plan = Plan.make("smoke", ["ppo_lstm"], list(range(8)), threads=1)
+    begun = time.monotonic()
+    run_batch(plan, tmp_path, slots=2, until="policies", echo=lambda words: None)
+    took = time.monotonic() - begun
+    jobs = plan.jobs("policies")
+    alone = [float(pd.read_csv(tmp_path / job.timing, sep="\t")["s"].iloc[0]) for job in jobs]
+    assert len(alone) == 8
+    print(f"8 jobs: {took:.1f} s, half the sum {sum(alone) / 2:.1f} s, ratio {took / (sum(alone) / 2):.3f}")
+    assert took <= 1.15 * sum(alone) / 2
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(disk)], capture_output=True)
+    if done.returncode != 0:
+        pytest.skip("mounting a small file system wants root")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def test_a_full_disk_and_a_read_only_folder_are_named_and_lose_nothing(small_disk: Path, tmp_path: Path) -> None:
+    def go(out: Path) -> None:
+        plan = Plan.make("smoke", ["random", "ppo_lstm"], [0], threads=1)
+        run_batch(plan, out, slots=2, until="tables", echo=lambda words: None)
+
+    def remount(options: str) -> None:
+        subprocess.run(["mount", "-o", f"remount,{options}", str(small_disk)], check=True)
+
+    with pytest.raises((RunFailedError, UserError), match=r"No space left|cannot write"):
+        go(small_disk / "out")
+    assert not (small_disk / "out" / "tables").exists()
+    remount("size=100m,ro")
+    with pytest.raises(UserError, match="cannot write"):
+        go(small_disk / "out")
+    remount("size=100m,rw")
+    go(small_disk / "out")
+    go(tmp_path / "elsewhere")
+    assert tables(small_disk / "out") == tables(tmp_path / "elsewhere")

@@ -1,0 +1,151 @@
+"""Pages of the report, 3D replays, model cards and folders to share."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import nbformat
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from lunar_rescue.postures import postures
+from reproduce.cards import card, export, reference_run
+from reproduce.errors import UserError
+from reproduce.evaluation import evaluate
+from reproduce.files import write_json
+from reproduce.registry import METHODS
+from reproduce.replay3d import LARGEST, record, write_replay
+from reproduce.report import build_report
+from reproduce.report.gallery import choose_clips
+from reproduce.report.notebook import fill_in, notebook_page
+from reproduce.results import reference_runs
+from reproduce.training import train
+
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
+
+
+def executed(path: Path) -> Path:
+    """A notebook as papermill leaves one."""
+    table = '<style scoped>td {}</style><table border="1" class="dataframe"><tr><td>7</td></tr></table>'
+    outputs = [
+        nbformat.v4.new_output("display_data", {"image/png": PIXEL}),
+        nbformat.v4.new_output("display_data", {"text/html": table}),
+    ]
+    cells = [
+        nbformat.v4.new_markdown_cell("# A *first* page\n\nWith $x_i^2$ and `$HOME`."),
+        nbformat.v4.new_code_cell("secret = 6 * 7", outputs=outputs),
+        nbformat.v4.new_markdown_cell("$$\\sum_i \\frac{a}{b}$$"),
+    ]
+    document = nbformat.v4.new_notebook(cells=cells)
+    document.metadata["papermill"] = {"parameters": {"preset": "smoke"}, "end_time": "2026-01-01T00:00:00"}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(document, path)
+    return path
+
+
+def test_a_notebook_becomes_a_page_with_code_folded_and_pictures_described(tmp_path: Path) -> None:
+    page = notebook_page(executed(tmp_path / "01_try.ipynb"))
+    assert page.title == "A *first* page" and "secret" not in page.text and "<math" not in page.text
+    text = fill_in(page.text, page.pieces)
+    assert '<details class="code"><summary>code</summary>' in text and "secret" in text and "open>" not in text
+    assert re.search(r'<img alt="A first page"[^>]*src="data:image/png', text)
+    assert "<table><tr>" in text and "<style scoped>" not in text
+    assert text.count("<math") == 2 and "<mfrac>" in text and "`$HOME`" in text
+    assert "`preset='smoke'`" in text and "2026-01-01" in text
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results with one trained and tested policy."""
+    results = tmp_path_factory.mktemp("report") / "results"
+    folder = results / "reference" / "ppo_lstm" / "seed0"
+    method = METHODS["ppo_lstm"]
+    config = replace(method.config("smoke"), steps=512, n_envs=2)
+    train(method, config, 0, folder, "smoke", quiet=True, tensorboard=results / "scratch" / "tensorboard")
+    write_json(folder / "evaluation.json", evaluate(folder, tests=2, quiet=True))
+    executed(results / "notebooks" / "01_try.ipynb")
+    return results
+
+
+def test_training_logs_for_tensorboard(results: Path) -> None:
+    events = EventAccumulator(str(results / "scratch" / "tensorboard"))
+    events.Reload()
+    steps = [event.step for event in events.Scalars("training/success")]
+    assert steps and steps[-1] == 512
+
+
+def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) -> None:
+    first = build_report(results / "notebooks", results, replays=False)
+    site = first.parent
+    assert {"index.html", "01_try.html", "policy_ppo_lstm_0.html"} <= {path.name for path in site.glob("*.html")}
+    assert "<mfrac>" in (site / "01_try.html").read_text()
+    for page in site.rglob("*.html"):
+        text = page.read_text()
+        assert "@@" not in text, page.name
+        assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text), page.name
+    text = first.read_text()
+    assert "no run in results/ yet" in text and "of 2 " in text.replace("least 2 ", "of 2 ")
+    bad = results / "notebooks" / "02_bad.ipynb"
+    bad.write_text("{")
+    with pytest.raises(Exception, match="JSON"):
+        build_report(results / "notebooks", results, replays=False)
+    bad.unlink()
+    assert first.read_text() == text
+    assert not list(results.glob(".report*"))
+
+
+def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
+    recording = record("random", 3)
+    steps = recording.row["steps"]
+    assert len(recording.moments) == steps + 1
+    first, last = recording.moments[0], recording.moments[-1]
+    assert any((first.links[link][0] != place).any() for link, (place, _) in last.links.items())
+    write_replay(recording, tmp_path / "x.html")
+    text = (tmp_path / "x.html").read_text()
+    assert len(text) < LARGEST and "__VISER_EMBED_DATA__=" in text
+    assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text)
+
+
+def test_clips_show_a_success_and_a_failure_of_each_method_and_every_posture(results: Path) -> None:
+    runs = reference_runs(results)
+    found = dict(runs[0].evaluation or {}, outcomes="0010", first_seed=5)
+    clips = choose_clips([replace(runs[0], evaluation=found)])
+    assert [(clip.label, clip.seed) for clip in clips[:2]] == [("success: scene 7", 7), ("failure: scene 5", 5)]
+    named = {clip.file for clip in clips[2:]}
+    assert named == {f"posture-{name}.html" for name in postures()}
+    assert len({clip.file for clip in clips}) == len(clips)
+
+
+def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None:
+    run = reference_run("ppo_lstm", results=results)
+    text = card(run)
+    assert text.startswith("---\nlicense: mit\n") and "environment version" in text and "## Limits" in text
+    rate = 100 * (run.evaluation or {})["success_rate"]
+    assert f"**{rate:.1f} %**" in text and "2 test scenes" in text
+    out = export("ppo_lstm", tmp_path / "shared", results=results)
+    assert {"README.md", "policy.safetensors", "policy.json", "config.json", "run.json"} <= {
+        p.name for p in out.iterdir()
+    }
+    again = evaluate(out, tests=2, quiet=True)
+    assert again["outcomes"] == json.loads((out / "evaluation.json").read_text())["outcomes"]
+    with pytest.raises(UserError, match="not empty"):
+        export("ppo_lstm", out, results=results)
+    for method, word in (("fun", "no trained reference run"), ("nonsense", "method")):
+        with pytest.raises(UserError, match=word):
+            export(method, tmp_path / "other", results=results)
+    with pytest.raises(UserError, match="seed 9"):
+        export("ppo_lstm", tmp_path / "other", seed=9, results=results)
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_broken_policy_is_not_shared(results: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "results"
+    shutil.copytree(results / "reference", copy / "reference")
+    (copy / "reference" / "ppo_lstm" / "seed0" / "policy.json").write_text("{")
+    with pytest.raises(UserError, match=r"policy\.json"):
+        export("ppo_lstm", tmp_path / "out", results=copy)
+    assert not (tmp_path / "out").exists()
