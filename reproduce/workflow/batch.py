@@ -153,6 +153,8 @@ def _follow(command: list[str], lock: IO[str], jobs: list[Job], out: Path, slots
             while True:
                 code = process.poll()
                 now = {job for job in jobs if (out / job.output).is_file()}
+                if code is None:  # Snakemake notes the seconds a little after the file is there
+                    now = {job for job in now if job in done or (out / job.timing).is_file()}
                 for job in jobs:
                     if job in now - done:
                         bar.write(f"done: {job.name}{_took(job, out)}", file=sys.stdout)
