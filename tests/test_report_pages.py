@@ -73,7 +73,7 @@ def test_a_page_opens_without_a_fault_and_can_be_read(browser: Browser, page: Pa
     assert tab.evaluate("document.querySelectorAll('details.code[open]').length") == 0, "code is folded away"
     text = tab.evaluate("document.querySelector('article').innerText")
     assert "@@" not in text and not re.search(r"\$\$|\\frac|\\sum", text)
-    formulas = tab.evaluate("[...document.querySelectorAll('math')].map(m => m.getBoundingClientRect().height)")
+    formulas = tab.evaluate("[...document.querySelectorAll('article math')].map(m => m.getBoundingClientRect().height)")
     assert all(height > 5 for height in formulas)
     tab.close()
 

@@ -136,7 +136,8 @@ def _write_sources(
             write_text(sources / "docs" / name, _local_links((ROOT / "docs" / name).read_text(encoding="utf-8")))
     picture = ROOT / "docs" / "rescue.png"
     if picture.is_file():
-        shutil.copyfile(picture, sources / "rescue.png")
+        for folder in (sources, sources / "docs"):
+            shutil.copyfile(picture, folder / picture.name)
 
 
 def _local_links(text: str) -> str:
