@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.errors import RunFailedError, UserError
 from reproduce.workflow.batch import run_batch
@@ -33,20 +34,6 @@ def tables(out: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((out / "tables").glob("*.csv"))}
 
 
-def processes(session: int) -> list[int]:
-    """Of a session, the batch's own one first."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-            except (OSError, IndexError):
-                continue
-            if int(fields[3]) == session and fields[0] != "Z":
-                found.append(int(entry.name))
-    return sorted(found)
-
-
 def test_thirty_kills_change_no_table(tmp_path: Path) -> None:
     """The batch, Snakemake, trainings, their workers, evaluations and notebooks are killed, whichever is drawn."""
     log = tmp_path / "log"
@@ -64,9 +51,9 @@ def test_thirty_kills_change_no_table(tmp_path: Path) -> None:
                 end = time.monotonic() + float(rng.uniform(4.0, 20.0))
                 while time.monotonic() < end and process.poll() is None:
                     time.sleep(0.1)
-            alive = processes(process.pid) if process.poll() is None and kills < KILLS else []
-            if alive:
-                os.kill(int(rng.choice(alive)), signal.SIGKILL)
+            running = alive(process.pid) if process.poll() is None and kills < KILLS else []
+            if running:
+                os.kill(int(rng.choice(running)), signal.SIGKILL)
                 kills += 1
             if process.wait() == 0 and (out / "report" / "index.html").is_file():
                 break

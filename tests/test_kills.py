@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.checkpoint import NAME
 
@@ -27,25 +28,11 @@ def _digest(folder: Path) -> str:
     return hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
 
 
-def _alive(session: int) -> list[int]:
-    """Processes of a session that still run."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-            except (OSError, IndexError):
-                continue
-            if int(fields[3]) == session and fields[0] != "Z":
-                found.append(int(entry.name))
-    return found
-
-
 def _wait_for_nobody(session: int, seconds: float = 20.0) -> list[int]:
     end = time.monotonic() + seconds
-    while _alive(session) and time.monotonic() < end:
+    while alive(session) and time.monotonic() < end:
         time.sleep(0.1)
-    return _alive(session)
+    return alive(session)
 
 
 @pytest.mark.slow
@@ -80,7 +67,7 @@ def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
     end = time.monotonic() + 60.0
     while not (tmp_path / "run" / NAME).is_file() and time.monotonic() < end:  # it is well under way then
         time.sleep(0.05)
-    assert len(_alive(process.pid)) > 1
+    assert len(alive(process.pid)) > 1
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait(timeout=30) != 0
     assert not _wait_for_nobody(process.pid)

@@ -56,6 +56,7 @@ def test_a_notebook_becomes_a_page_with_code_folded_and_pictures_described(tmp_p
     assert "<table><tr>" in text and "<style scoped>" not in text
     assert text.count("<math") == 2 and "<mfrac>" in text and "`$HOME`" in text
     assert "`preset='smoke'`" in text and "2026-01-01" in text
+    assert "notebooks/01_try.ipynb, cell 2" in text
 
 
 @pytest.fixture(scope="module")

@@ -66,7 +66,9 @@ def notebook_page(path: Path) -> Page:
     pieces: dict[str, str] = {}
     prefix, heading = path.stem[:2], path.stem
     texts = []
-    for index, cell in enumerate(document.cells):
+    # Without the cell that papermill adds, numbers are those of the notebook that a reader opens.
+    cells = [cell for cell in document.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
+    for index, cell in enumerate(cells):
         if cell.cell_type == "markdown":
             text = mark_mathematics(cell.source, pieces, prefix)
             headings = re.findall(r"^#{1,3} +(.+)$", text, re.MULTILINE)
@@ -74,11 +76,16 @@ def notebook_page(path: Path) -> Page:
             texts.append(text)
         elif cell.cell_type == "code" and cell.source.strip():
             mark = f"@@{prefix}cell{index}@@"
-            pieces[mark] = _cell_html(cell, heading)
+            where = f"notebooks/{path.name}, cell {index + 1}" if cell.outputs else ""
+            pieces[mark] = _cell_html(cell, heading, where)
             texts.append(mark)
     title = next(iter(re.findall(r"^# +(.+)$", "\n".join(texts), re.MULTILINE)), path.stem)
     origin = document.metadata.get("papermill", {})
-    made = f"Run by papermill from `notebooks/{path.name}` with {_parameters(origin)}, finished {_when(origin)}."
+    made = (
+        f"Everything on this page comes from `notebooks/{path.name}`, run by "
+        f"`reproduce notebooks --only {path.stem[:2]}` with {_parameters(origin)}, finished {_when(origin)}; "
+        "what it reads from results/ says there which command made it."
+    )
     return Page(title, "\n\n".join([*texts, f'<p class="origin" markdown="1">{made}</p>']), pieces)
 
 
@@ -91,13 +98,14 @@ def _when(origin: Any) -> str:
     return str(origin.get("end_time") or "at an unknown time")[:19]
 
 
-def _cell_html(cell: Any, heading: str) -> str:
+def _cell_html(cell: Any, heading: str, origin: str) -> str:
     logging.getLogger("traitlets").setLevel(logging.ERROR)  # it asks for descriptions, which are added below
     document = nbformat.v4.new_notebook(cells=[cell])
     exporter = HTMLExporter(exclude_input_prompt=True, exclude_output_prompt=True)
     exporter.raw_template = FOLDED
     body, _ = exporter.from_notebook_node(document)
-    return f'<div class="cell">{_described(_plain_tables(str(body)), heading)}</div>'
+    made = f'<p class="origin">{origin}</p>' if origin else ""
+    return f'<div class="cell">{_described(_plain_tables(str(body)), heading)}{made}</div>'
 
 
 def _plain_tables(body: str) -> str:

@@ -41,6 +41,7 @@ STYLE = """
 .md-typeset .jp-InputPrompt, .md-typeset .jp-OutputPrompt, .md-typeset .prompt { display: none; }
 .md-typeset table:not([class]) { font-size: .62rem; }
 .md-typeset .origin { opacity: .75; font-size: .62rem; }
+.md-typeset .cell .origin { text-align: right; margin: 0; font-size: .55rem; }
 .md-typeset math[display=block] { overflow-x: auto; max-width: 100%; margin: 1em 0; }
 """
 
