@@ -100,7 +100,7 @@ def rewards_block() -> str:
     rows = [
         ("`approach`", "beta (exp(D_m - D) - 1), mean over the arms", f"beta {w.beta:g}, D_m over {w.memory} step(s)"),
         ("`obstacle_avoidance`", "-rho log(sum xi / D + 1), the AAPF", f"rho {w.rho:g}, xi {w.xi:g} m"),
-        ("`joint_motion`", "-varphi sum \\|change of each joint\\|", f"varphi {w.varphi:g} /rad"),
+        ("`joint_motion`", "-varphi sum |change of each joint|", f"varphi {w.varphi:g} /rad"),
         ("`time_bonus`", "1 - 0.9 steps / limit, on success", f"times {w.time_bonus:g}"),
         ("`rescued`", "once, on success (not in the paper)", f"{w.rescued:g}"),
         ("`both_arms_under`", "once, when process 1 is completed (not in the paper)", f"{w.both_arms_under:g}"),

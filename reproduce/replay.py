@@ -17,7 +17,7 @@ from lunar_rescue.rendering import SIZE, Picture, Studio, scene_camera
 from reproduce.errors import UserError
 from reproduce.evaluation import find_policy, run_episode
 from reproduce.files import write_atomically
-from reproduce.policy import Actions, Observations
+from reproduce.policy import Actions, Observations, Policy
 
 FRAMES_PER_SECOND = 10  # real time: an action is held for 0.1 s
 LAST_SECONDS = 1.5  # a film stays on its last picture so long
@@ -56,6 +56,14 @@ class WatchedPolicy:
         return drawn
 
 
+def who_and_where(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
+    """The policy and the scene of a rescue that is to be shown; see ``film``."""
+    if seed < 0:
+        raise UserError(f"seed: expected at least 0, got {seed}")
+    _, policy = find_policy(where)
+    return policy, sample_scene(seed, posture=posture, task=task)
+
+
 def film(
     where: str | Path,
     seed: int,
@@ -75,10 +83,7 @@ def film(
         overlay: Draw targets, sub-goals, mark points, distances and a caption.
         size: Width and height [px]; films want multiples of 16.
     """
-    if seed < 0:
-        raise UserError(f"seed: expected at least 0, got {seed}")
-    _, policy = find_policy(where)
-    scene = sample_scene(seed, posture=posture, task=task)
+    policy, scene = who_and_where(where, seed, posture, task)
     camera = scene_camera(scene, size)
     env, studio = LunarRescueEnv(), Studio()
     frames: list[Picture] = []

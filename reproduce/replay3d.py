@@ -13,7 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue import LunarRescueEnv, Scene, sample_scene, shapes
+from lunar_rescue import LunarRescueEnv, Scene, shapes
 from lunar_rescue.overlay import (
     ARM_COLOURS,
     MARK_COLOUR,
@@ -29,9 +29,9 @@ from lunar_rescue.rocks import rock_marks
 from lunar_rescue.simulation import Stage, VisualShape
 from lunar_rescue.tasks import TARGET_RADIUS
 from reproduce.errors import UserError
-from reproduce.evaluation import find_policy, run_episode
+from reproduce.evaluation import run_episode
 from reproduce.files import write_text
-from reproduce.replay import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending
+from reproduce.replay import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, who_and_where
 
 if TYPE_CHECKING:
     import viser
@@ -97,10 +97,7 @@ def record(where: str | Path, seed: int, posture: str | None = None, task: str |
         posture: Draw the scene with this posture.
         task: Draw the scene with this task.
     """
-    if seed < 0:
-        raise UserError(f"seed: expected at least 0, got {seed}")
-    _, policy = find_policy(where)
-    scene = sample_scene(seed, posture=posture, task=task)
+    policy, scene = who_and_where(where, seed, posture, task)
     env, stage = LunarRescueEnv(), StageSet(Stage())
     moments: list[Moment] = []
     robot: list[VisualShape] = []

@@ -12,6 +12,7 @@ import torch as th
 
 from lunar_rescue import sample_scene
 from lunar_rescue.postures import postures
+from lunar_rescue.robot import CONTROL_STEP
 from reproduce.registry import METHODS
 from reproduce.results import Run
 
@@ -86,4 +87,4 @@ def _make(clip: Clip, folder: Path) -> str:
 
     recording = record(clip.where, clip.seed)
     write_replay(recording, folder / clip.file)
-    return f"{ending(recording.row)} after {recording.row['steps'] / 10:.1f} s"
+    return f"{ending(recording.row)} after {recording.row['steps'] * CONTROL_STEP:.1f} s"

@@ -15,7 +15,7 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from reproduce.cards import card
-from reproduce.claims import compute_claims
+from reproduce.claims import ENOUGH_SEEDS, compute_claims
 from reproduce.files import write_text
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS
@@ -27,7 +27,6 @@ from reproduce.tables import markdown_table, readable_table1
 TITLE = "Lunar rescue by two arms"
 DOCUMENTS = ("environment.md", "training.md", "training_log.md", "assumptions.md", "extending.md", "cluster.md")
 REPLAYS = "replays"
-ENOUGH_FOR_VARIANCE = 5  # training seeds
 
 STYLE = """
 .md-typeset details.code { border: 0; box-shadow: none; background: transparent; font-size: .7rem; margin: .4rem 0; }
@@ -196,7 +195,7 @@ def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:
     clip = next((c for c in endings if "success" in c.file and c.file.startswith("hrl_dcs-")), None)
     watch = f" [Look at one from all sides]({REPLAYS}/{clip.file}), or at [all replays](replays.md)." if clip else ""
     picture = (
-        f"![A rescue by the trained policy, read row by row]({'rescue.png'})\n\n"
+        f"![A rescue by the trained policy, read row by row](rescue.png)\n\n"
         "A lift on rough ground by the trained HRL-DCS, read row by row: rings are target areas, diamonds sub-goals, "
         f"crosses the rocks' mark points.{watch}\n"
         if (ROOT / "docs" / "rescue.png").is_file()
@@ -259,8 +258,8 @@ def _trust(runs: list[Run]) -> str:
         f"- **Seeds**: {min(seeds.values())} to {max(seeds.values())} training seeds a method. "
         + (
             "That tells how trainings differ."
-            if min(seeds.values()) >= ENOUGH_FOR_VARIANCE
-            else f"Fewer than {ENOUGH_FOR_VARIANCE} tell little of how trainings differ: verdicts are *reduced scale*."
+            if min(seeds.values()) >= ENOUGH_SEEDS
+            else f"Fewer than {ENOUGH_SEEDS} tell little of how trainings differ: verdicts are *reduced scale*."
         ),
         f"- **Steps**: at most {most:,} environment steps a training, against the paper's 700 million.",
         f"- **Physics**: environment version {', '.join(versions)}; contact and friction alone move the astronaut, and "

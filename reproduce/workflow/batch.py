@@ -18,7 +18,7 @@ import pandas as pd
 from tqdm.auto import tqdm
 
 from reproduce.errors import RunFailedError, UserError
-from reproduce.files import read_json, write_atomically, write_json
+from reproduce.files import write_atomically, write_json
 from reproduce.provenance import record_origin
 from reproduce.workflow.plan import TARGETS, Job, Plan, cores
 
@@ -112,11 +112,8 @@ def _only_one(out: Path) -> Iterator[IO[str]]:
 
 
 def _write_plan(plan: Plan, out: Path) -> None:
-    path = out / "batch.json"
-    if path.is_file() and read_json(path, "plan of a batch") == plan.as_data():
-        return
     try:
-        write_json(path, plan.as_data())
+        write_json(out / "batch.json", plan.as_data())
         (out / "logs").mkdir(exist_ok=True)
     except OSError as error:
         raise UserError(f"{out}: the batch cannot write there: {error.strerror}") from None
