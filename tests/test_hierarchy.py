@@ -30,6 +30,7 @@ from reproduce.hrl.subgoals import (
     FURTHER,
     HIGHEST,
     LEAD,
+    LOWERED,
     PATIENCE,
     REACH,
     RISE,
@@ -134,7 +135,7 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
     centre = SLICES["P_P"].start + 2
-    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.2, 0.0)):  # until the body has risen enough
+    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.04, -0.04), (WANTED_RISE + 0.2, -LOWERED)):
         lifted[0, centre] = further[0, centre] + risen
         anchors.update(lifted, ~start)
         heights = lifted[0, _ENDS[[2, 5]]]
