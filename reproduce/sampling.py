@@ -30,6 +30,8 @@ from reproduce.splits import train_seed
 
 #: Reward terms in the order of the shared array.
 TERMS = ("approach", "obstacle_avoidance", "joint_motion", "time_bonus", "rescued", "both_arms_under", "failure")
+#: Return of an ended episode by the environment's own reward, AAPF included, whichever obstacle reward is trained with.
+RETURN = "own_return"
 EASY_POSTURE = "left_side_stride"
 _STEP, _RESET, _CLOSE = b"s", b"r", b"c"
 _SPAWN = multiprocessing.get_context("forkserver")
@@ -70,6 +72,7 @@ def _work(
         )
         envs = [LunarRescueEnv(**options.arguments) for _ in indices]
         episodes = [0] * len(envs)
+        totals = [0.0] * len(envs)
         epoch = 0
 
         def begin(slot: int) -> None:
@@ -77,6 +80,7 @@ def _work(
             chosen = _options(draw, options)
             observations[indices[slot]], _ = envs[slot].reset_flat(draw, chosen)
             episodes[slot] += 1
+            totals[slot] = 0.0
 
         pipe.send(None)
         while True:
@@ -87,9 +91,11 @@ def _work(
                     vector, reward, terminated, truncated, info = envs[slot].step_flat(actions[index])
                     rewards[index] = reward
                     terms[index] = [info["reward_terms"][name] for name in TERMS]
+                    totals[slot] += reward - info["reward_terms"]["obstacle_avoidance"] + info["aapf"]
                     dones[index] = float(terminated or truncated)
                     if terminated or truncated:
-                        ended.append((index, _final_info(info, vector, truncated and not terminated)))
+                        final = _final_info(info, vector, truncated and not terminated)
+                        ended.append((index, {**final, RETURN: totals[slot]}))
                         begin(slot)
                     else:
                         observations[index] = vector

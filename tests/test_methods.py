@@ -19,6 +19,7 @@ from reproduce.errors import UserError
 from reproduce.evaluation import evaluate
 from reproduce.registry import METHODS, load_policy
 from reproduce.replay import film
+from reproduce.sampling import RETURN, EnvOptions, WorkerVecEnv
 from reproduce.training import train
 
 LEARNING = [name for name, method in METHODS.items() if method.train is not None]
@@ -76,6 +77,26 @@ def test_the_ablation_changes_the_obstacle_reward_and_nothing_else() -> None:
         assert full == without
     assert METHODS["hrl_dcs"].train is METHODS["hrl_dcs_no_aapf"].train
     assert METHODS["hrl_dcs"].act is METHODS["hrl_dcs_no_aapf"].act
+
+
+def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
+    found = {}
+    for kind in ("aapf", "contact"):
+        venv = WorkerVecEnv(2, 0, EnvOptions({"obstacle_reward": kind, "max_steps": 6}), workers=1)
+        try:
+            venv.reset()
+            rewards = []
+            for step in range(6):
+                venv.step_async(np.full((2, JOINTS), 0.1 * step, np.float32))
+                _, reward, dones, infos = venv.step_wait()
+                rewards.append(reward)
+            assert dones.all()
+            found[kind] = (np.sum(rewards, axis=0), np.array([info[RETURN] for info in infos]))
+        finally:
+            venv.close()
+    assert found["aapf"][1] == pytest.approx(found["aapf"][0], abs=1e-5)
+    assert found["contact"][1] == pytest.approx(found["aapf"][1], abs=1e-9)
+    assert np.abs(found["contact"][0] - found["contact"][1]).min() > 1e-3
 
 
 def test_all_methods_meet_the_same_terms() -> None:

@@ -50,6 +50,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
     Action: Eq. 3 for the ten arm joints (arm A, arm B), then the waist, all in [-1, 1], (11,).
     Observation: a Dict with the paper's symbols, see ``lunar_rescue.observation``.
     Reward: Eq. 2 towards the target areas, then towards the goal pose; ``info["reward_terms"]`` has every term.
+    ``info["aapf"]`` is the AAPF term also where the contact reward replaces it, so that returns can be compared.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
@@ -230,11 +231,8 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def _terms(self, e: Episode, distance: Array, clearance: Array, moved: Array, touches: bool) -> dict[str, float]:
         w = self.weights
-        obstacle = (
-            rewards.obstacle_avoidance(clearance, rho=w.rho, xi=w.xi)
-            if self.obstacle_reward == "aapf"
-            else w.contact * rewards.contact(touches)
-        )
+        e.aapf = rewards.obstacle_avoidance(clearance, rho=w.rho, xi=w.xi)
+        obstacle = e.aapf if self.obstacle_reward == "aapf" else w.contact * rewards.contact(touches)
         return {
             "approach": rewards.approach(_least(e.recent), distance, beta=w.beta, form=w.form),
             "obstacle_avoidance": obstacle,
@@ -291,6 +289,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
     def _info(self, e: Episode, terms: dict[str, float], success: bool, failure: str | None) -> dict[str, Any]:
         return {
             "reward_terms": terms,
+            "aapf": e.aapf,
             "is_success": success,
             "failure": failure,
             "both_arms_under": e.process == 2,

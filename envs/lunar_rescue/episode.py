@@ -37,6 +37,7 @@ class Episode:
     held: int = 0
     steps: int = 0
     rock_contact: bool = False
+    aapf: float = 0.0  # AAPF term of the last step
     _ways: Array = field(init=False)  # from targets to entries (2, 3) [m]
     _directions: Array = field(init=False)  # the same, unit length
     _lengths: Array = field(init=False)

@@ -25,6 +25,7 @@ from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.hrl.goals import Goals
 from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.learners.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
+from reproduce.sampling import RETURN
 
 
 @dataclass
@@ -186,6 +187,7 @@ class SubGoalVecEnv(VecEnvWrapper):
                     ended[index : index + 1], self.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
                 totals = dict(zip(("exr", "inr", "steps"), self._returns[index], strict=True))
+                totals["exr"] = infos[index].get(RETURN, totals["exr"])
                 self.episodes.append({**{k: infos[index][k] for k in OUTCOME if k in infos[index]}, **totals})
                 self._returns[index] = 0.0
 

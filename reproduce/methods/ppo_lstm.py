@@ -17,6 +17,7 @@ from reproduce.hrl.networks import RecurrentNetwork
 from reproduce.methods.hrl_dcs import make_learner
 from reproduce.methods.stepping import RecurrentTraining, make_environments
 from reproduce.run_folder import NetworkSpec
+from reproduce.sampling import RETURN
 
 
 class EpisodeLog(VecEnvWrapper):
@@ -45,6 +46,7 @@ class EpisodeLog(VecEnvWrapper):
         for index in np.flatnonzero(dones):
             episode = {k: infos[index][k] for k in OUTCOME}
             total, steps = self._totals[index]
+            total = infos[index].get(RETURN, total)
             self.episodes.append({**episode, "exr": total, "inr": float("nan"), "steps": steps})
             self._totals[index] = 0.0
         self._last = observations
