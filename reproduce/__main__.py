@@ -296,6 +296,18 @@ def solvable(
 
 
 @app.command()
+def tune(
+    method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
+    steps: Annotated[int, typer.Option(help="environment steps of a trial")] = 250_000,
+    tests: Annotated[int, typer.Option(help="validation scenes after each")] = 100,
+) -> None:
+    """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
+    from reproduce.tuning import tune as run
+
+    run(method, steps, tests, tell=typer.echo)
+
+
+@app.command()
 def methods() -> None:
     """List the methods of the registry."""
     from reproduce.registry import METHODS

@@ -30,7 +30,8 @@ class LearnerConfig:
     gamma: float = 0.99
     """Discount; paper, section 4.1."""
     gae_lambda: float = 0.95
-    """Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway."""
+    """Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway. That of
+    flat methods by their tuning trials (``reproduce.trials``)."""
     clip_range: float = 0.2
     """epsilon, acceptable difference of old and new policy; paper, section 4.1."""
     ent_coef: float = 1.0e-4
@@ -104,10 +105,18 @@ class SacConfig:
     """Share of the critics that goes into the target critics after each gradient step."""
     hidden_units: int = 256
     """Units of each of the two layers of actor and critics."""
+    gamma: float = 0.99
+    """Discount; paper, section 4.1."""
+    first_ent_coef: float = 1.0
+    """Entropy weight at the beginning; it is learnt (SB3's "auto", which begins with 1)."""
+    n_steps: int = 128
+    """Steps of each environment between rows of ``progress.csv``, at which observations are standardised anew."""
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        whole_numbers(self, "buffer_size", "batch_size", "gradient_steps", "hidden_units")
+        whole_numbers(self, "buffer_size", "batch_size", "gradient_steps", "hidden_units", "n_steps")
+        if not 0.0 < self.first_ent_coef < math.inf:
+            raise ValueError(f"first_ent_coef: expected a finite number above 0, got {self.first_ent_coef!r}")
 
 
 @dataclass(frozen=True)
@@ -235,6 +244,7 @@ PRESETS: dict[str, TrainingConfig] = {
         steps=8_192,
         n_envs=8,
         low=replace(_LAPTOP.low, n_steps=64, batch_size=256),
+        sac=replace(_LAPTOP.sac, n_steps=64),
         hierarchy=replace(_LAPTOP.hierarchy, sgn_every=2),
     ),
     "laptop": _LAPTOP,

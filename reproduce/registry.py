@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,6 +27,7 @@ from reproduce.methods.sac import SacPolicy, SacSpec, SacTraining
 from reproduce.methods.scripted import ScriptedPolicy
 from reproduce.policy import Policy
 from reproduce.run_folder import Spec, load_networks, read_policy_json, save_policy
+from reproduce.trials import tuned
 
 
 class Training(Protocol):
@@ -126,6 +128,10 @@ def _act_sac(folder: Path) -> Policy:
     return SacPolicy(load_networks(folder, _ACTOR, SacSpec)["actor"], _mirrored(folder))
 
 
+def _with_large_buffer(config: TrainingConfig) -> TrainingConfig:
+    return replace(config, sac=replace(config.sac, buffer_size=_LARGE_BUFFER))
+
+
 def _mirrored(folder: Path) -> bool:
     mirrored = read_policy_json(folder).get("mirrored")
     if not isinstance(mirrored, bool):
@@ -165,6 +171,7 @@ METHODS: dict[str, Method] = {
             FunTraining,
             {"fun": (SIZE, JOINTS)},
             parts=("low", "fun", "reward"),
+            adapt=partial(tuned, "fun"),
             paper_success=0.918,
         ),
         Method(
@@ -175,6 +182,7 @@ METHODS: dict[str, Method] = {
             SacTraining,
             _ACTOR,
             parts=("sac", "reward"),
+            adapt=partial(tuned, "sac"),
         ),
         Method(
             "sac_large_buffer",
@@ -184,7 +192,7 @@ METHODS: dict[str, Method] = {
             SacTraining,
             _ACTOR,
             parts=("sac", "reward"),
-            adapt=lambda config: replace(config, sac=replace(config.sac, buffer_size=_LARGE_BUFFER)),
+            adapt=lambda config: _with_large_buffer(tuned("sac", config)),
         ),
         Method(
             "ppo_lstm",
@@ -193,6 +201,7 @@ METHODS: dict[str, Method] = {
             _act_flat,
             FlatTraining,
             _ONE_LEVEL,
+            adapt=partial(tuned, "ppo_lstm"),
         ),
         Method(
             "scripted",

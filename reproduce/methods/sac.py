@@ -129,7 +129,7 @@ class KeptSAC(SAC):
                 module.observe(seen)
 
 
-def make_sac(env: Any, config: SacConfig, gamma: float, seed: int) -> KeptSAC:
+def make_sac(env: Any, config: SacConfig, seed: int) -> KeptSAC:
     """The learner as SB3 knows it."""
     learner = KeptSAC(
         "MlpPolicy",
@@ -138,7 +138,8 @@ def make_sac(env: Any, config: SacConfig, gamma: float, seed: int) -> KeptSAC:
         buffer_size=config.buffer_size,
         batch_size=config.batch_size,
         tau=config.tau,
-        gamma=gamma,
+        gamma=config.gamma,
+        ent_coef=f"auto_{config.first_ent_coef}",
         policy_kwargs=policy_arguments(config.hidden_units),
         seed=seed,
         device="cpu",
@@ -156,14 +157,19 @@ class SacTraining(CollectedTraining):
         """Start environments and learner."""
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
-        self.learner = make_sac(env, config.sac, config.low.gamma, seed)
+        self.learner = make_sac(env, config.sac, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update."""
+        return self.config.sac.n_steps * self.config.n_envs
 
     def update(self, done: int) -> dict[str, Any]:
         """Step and learn by turns; ``done`` steps were taken before."""
         self.follow_schedule(done)
         sac, seen = self.config.sac, []
-        for step in range(self.config.low.n_steps):
+        for step in range(sac.n_steps):
             seen.append(np.asarray(self.learner._last_obs, np.float32))
             self.learner.collect(self.env, self.callback)
             if done + (step + 1) * self.config.n_envs >= sac.learning_starts:

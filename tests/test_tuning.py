@@ -1,0 +1,72 @@
+"""Tuning trials: equal in number, gone on with, judged on validation scenes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from reproduce import tuning
+from reproduce.config import PRESETS
+from reproduce.errors import UserError
+from reproduce.registry import METHODS
+from reproduce.trials import CHOSEN, TRIALS, Trial
+from reproduce.tuning import tune, tuning_table
+
+
+def test_every_baseline_gets_as_many_trials_and_has_chosen_one() -> None:
+    assert len({len(trials) for trials in TRIALS.values()}) == 1
+    for method, trials in TRIALS.items():
+        assert len({trial.name for trial in trials}) == len(trials)
+        assert len({trial.config(PRESETS["laptop"]) for trial in trials}) == len(trials)
+        (chosen,) = (trial for trial in trials if trial.name == CHOSEN[method])
+        for name, preset in PRESETS.items():
+            assert METHODS[method].config(name) == chosen.config(preset)
+
+
+def test_a_trial_of_a_setting_that_is_not_there_is_refused() -> None:
+    for where in ("low.gama", "lwo.gamma", "steps", ""):
+        with pytest.raises(ValueError, match="part and a field"):
+            Trial("wrong", {where: 1.0}).config(PRESETS["laptop"])
+
+
+def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = Trial("one", {}), Trial("two", {"low.n_epochs": 1})
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first,)})
+    monkeypatch.setattr(tuning, "CHOSEN", {"ppo_lstm": "two"})
+    options: dict[str, Any] = {"steps": 1, "tests": 2, "quiet": True, "results": tmp_path}
+    told: list[str] = []
+    made = tune("ppo_lstm", tell=told.append, **options)
+    path = tmp_path / "trials" / "tuning" / "ppo_lstm.csv"
+    assert len(told) == 1 and 0.0 <= made["score"].iloc[0] <= 1.0
+    assert json.loads((path.parent / "origins.json").read_text())[path.name]["commit"]
+    before = path.read_bytes()
+
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first, second)})
+    measured: list[str] = []
+
+    def measure(method: str, trial: Trial, *rest: Any) -> dict[str, Any]:
+        measured.append(trial.name)
+        return {key: made[key].iloc[0] for key in ("score", "both_arms_under", "success_rate", "seconds")}
+
+    monkeypatch.setattr(tuning, "_measure", measure)
+    more = tune("ppo_lstm", tell=told.append, **options)
+    assert measured == ["two"] and list(more["trial"]) == ["one", "two"]
+    assert before.splitlines()[1] in path.read_bytes()
+    table = tuning_table(tmp_path)
+    assert list(table["chosen"]) == ["", "x"]
+    tune("ppo_lstm", tell=told.append, **{**options, "tests": 3})
+    assert measured == ["two", "one", "two"] and set(pd.read_csv(path)["tests"]) == {3}
+
+
+def test_bad_numbers_and_methods_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="hrl_dcs"):
+        tune("hrl_dcs", results=tmp_path)
+    for options in ({"steps": 0}, {"tests": -1}):
+        with pytest.raises(UserError, match="at least 1"):
+            tune("sac", results=tmp_path, **options)
+    assert not list(tmp_path.iterdir())
+    assert tuning_table(tmp_path).empty
