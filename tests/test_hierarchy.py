@@ -97,8 +97,8 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
     way = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[0, :6] - arm_ends(observation[None])[0]
     whole = (next_points(observation[None]) - arm_ends(observation[None]))[0]
     for one, all_of_it in zip(way.reshape(2, 3), whole.reshape(2, 3), strict=True):
-        assert np.linalg.norm(all_of_it) > STRIDE
-        assert one == pytest.approx(STRIDE * all_of_it / np.linalg.norm(all_of_it), abs=1e-5)
+        assert np.linalg.norm(all_of_it) > STRIDE[0]
+        assert one == pytest.approx(STRIDE[0] * all_of_it / np.linalg.norm(all_of_it), abs=1e-5)
     with pytest.raises(ValueError, match="subgoals"):
         Anchors(1, "neither")
     view = lln_observations(observation[None], near, np.ones(1, np.float32))
@@ -111,13 +111,15 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
     assert distances(observation[None], near)[0] == pytest.approx(both)
 
 
-def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: LunarRescueEnv) -> None:
+@pytest.mark.parametrize("acting", [False, True])
+def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: LunarRescueEnv, acting: bool) -> None:
     first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight")})
     row, start, zero = first[None], np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
     goals = targets(row)
     under = row.copy()
     under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, goals[0]
-    anchors = Anchors(1, "together")
+    anchors = Anchors(1, "together", acting)
+    lowered = LOWERED[acting]
     anchors.update(row, start)
     anchors.update(under, ~start)
     begun = anchors.subgoals(zero)  # a lift begins further under the body
@@ -135,8 +137,8 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(lifted, ~start)
     assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
     centre = SLICES["P_P"].start + 2
-    for risen, lead in ((WANTED_RISE - 0.04, 0.04), (WANTED_RISE + 0.04, -0.04), (WANTED_RISE + 0.2, -LOWERED)):
-        lifted[0, centre] = further[0, centre] + risen
+    for risen, lead in ((-0.04, 0.04), (0.04, -min(0.04, lowered)), (0.2, -lowered)):
+        lifted[0, centre] = further[0, centre] + WANTED_RISE + risen
         anchors.update(lifted, ~start)
         heights = lifted[0, _ENDS[[2, 5]]]
         assert not slipped(lifted)[0]
@@ -148,7 +150,7 @@ def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: 
     anchors.update(off, ~start)
     assert slipped(off)[0] and not slipped(under)[0]
     way, whole = (made[0, :3] - arm_ends(off)[0, :3] for made in (anchors.subgoals(zero), next_points(off)))
-    assert way == pytest.approx(whole * min(1.0, STRIDE / float(np.linalg.norm(whole))), abs=1e-5)
+    assert way == pytest.approx(whole * min(1.0, STRIDE[acting] / float(np.linalg.norm(whole))), abs=1e-5)
     assert anchors.subgoals(zero)[0, 6:] == pytest.approx([TIPS_DOWN] * 2)
     turning = under.copy()
     turning[0, SLICES["I"]] = [0.0, 1.0]
@@ -243,7 +245,7 @@ def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) 
         assert made.networks[0] is policy.networks[0]
         assert (made.networks[1] is policy.networks[1]) == (name != "untrained_lln")
     assert seen["fixed_target"] == pytest.approx(targets(row))
-    anchors = Anchors(1, "together")
+    anchors = Anchors(1, "together", acting=True)
     anchors.update(row, start)
     assert seen["anchors_alone"] == pytest.approx(anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[:, :6])
     assert seen["untrained_lln"] == pytest.approx(policy.overlay()["sub-goal"].reshape(1, 6))

@@ -65,7 +65,8 @@ def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pyte
 def test_bad_numbers_and_methods_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="hrl_dcs"):
         tune("hrl_dcs", results=tmp_path)
-    for options in ({"steps": 0}, {"tests": -1}):
+    wrong: list[dict[str, Any]] = [{"steps": 0}, {"tests": -1}]
+    for options in wrong:
         with pytest.raises(UserError, match="at least 1"):
             tune("sac", results=tmp_path, **options)
     assert not list(tmp_path.iterdir())

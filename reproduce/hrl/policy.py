@@ -75,7 +75,7 @@ class HierarchicalPolicy:
         self._count = count
         self._sgn, self._lln = (Memory(network, count) for network in self.networks)
         self._mirror = Mirror(count)
-        self._anchors = Anchors(count, self.meaning)
+        self._anchors = Anchors(count, self.meaning, acting=True)
         self._left = np.zeros(count, np.int64)
         self._subgoals = np.zeros((count, SUBGOAL_SIZE), np.float32)
 

@@ -7,7 +7,7 @@ no position of an end can tell.
 SGN's tanh-bounded output moves them from an anchor, the ends by at most ``REACH``. In process 1 the anchor is, for each
 arm, the entry before the body while its end is high, and the target area once it is low, tips pointing down. In process
 2 it lies over the target area as it was when both arms had got under, ``LEAD`` higher than the arms are now. A lift
-begins further under the body, with tips a little up, and its anchors keep the body ``WANTED_RISE`` higher than it lay;
+begins further under the body, with tips a little up, and its anchors hold once the body has risen by ``WANTED_RISE``;
 where the body has slid off, they are the way in again. A body face down wants other ways than one face up: lifted, it
 rolls off plates that do not slope more and come back as they rise, and turned, it wants them to go on under it. No
 sub-goal lies further than ``STRIDE`` from its arm. With the targets as anchors from the beginning, an untrained SGN
@@ -53,10 +53,12 @@ RAISED = 0.15  # m, ends so far above the target areas as they were no longer ne
 LEAD = 0.10
 HIGHEST = 0.50  # m, and lie no higher than this over the target areas as they were, where a body is turned
 WANTED_RISE = 0.30  # m, where it is lifted they lead until its centre of gravity has risen so much, and then hold
-LOWERED = 0.10  # m, or go down by at most so much where it is higher: held, SGN's bias upwards would add up
-#: No sub-goal lies further than this from its arm's end when it is set: within reach of N steps, and no faster on the
-#: average than 0.6 m/s. Faster arms push a body face down away [m].
-STRIDE = 0.30
+#: No sub-goal lies further than this from its arm's end when it is set, in training and when a trained policy acts:
+#: within reach of N steps, and no faster on the average than 0.6 m/s. Faster arms push a body face down away [m].
+STRIDE = (0.30, 0.25)
+#: Where a lifted body is higher than wanted, anchors go down by at most so much, likewise. Where they hold, a bias of
+#: SGN's upwards adds up; the policy that was trained with them going down was no better (see the training log, 33) [m].
+LOWERED = (0.0, 0.10)
 SLIPPED = (0.40, 0.30)  # m, an end further than this from its target area, or above it, carries no body
 MEANINGS = ("each", "together")
 LLN_SIZE = SIZE + 2 * SUBGOAL_SIZE + 2 + JOINTS + 1
@@ -142,16 +144,18 @@ def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) 
 class Anchors:
     """Where sub-goals are measured from, for several environments."""
 
-    def __init__(self, count: int, meaning: str) -> None:
+    def __init__(self, count: int, meaning: str, acting: bool = False) -> None:
         """Start with nothing known.
 
         Args:
             count: Environments.
             meaning: One of ``MEANINGS``.
+            acting: Whether a trained policy acts, with more care than in training.
         """
         if meaning not in MEANINGS:
             raise ValueError(f"subgoals: expected one of {MEANINGS}, got {meaning!r}")
         self._together = meaning == "together"
+        self._stride, self._lowered = STRIDE[acting], LOWERED[acting]
         self._kept = np.zeros((count, ENDS_SIZE), np.float32)
         self._under = np.zeros((count, ENDS_SIZE), np.float32)
         self._centre = np.zeros(count, np.float32)  # height of the centre of gravity when the episode began
@@ -179,7 +183,7 @@ class Anchors:
         waits = carries & lifts & short & (raised < RAISED) & (self._waited < PATIENCE)
         self._waited += waits
         missing = WANTED_RISE - (observations[:, _CENTRE_Z] - self._centre)
-        led = np.where(lifts, raised + np.clip(missing, -LOWERED, LEAD), np.minimum(raised + LEAD, HIGHEST))
+        led = np.where(lifts, raised + np.clip(missing, -self._lowered, LEAD), np.minimum(raised + LEAD, HIGHEST))
         up = np.where(waits, 0.0, led)
         further, tips = (table[kind, 0] + on * (table[kind, 1] - table[kind, 0]) for table in (_FURTHER, _TIPS))
         over = self._under + further[:, None] * _AHEAD + up[:, None] * _UP
@@ -198,7 +202,7 @@ class Anchors:
         else:
             ends, rises = reach * ends, RISE * rises
         way = (self._kept + ends - self._ends).reshape(-1, 2, 3)
-        way *= np.minimum(1.0, STRIDE / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-6))
+        way *= np.minimum(1.0, self._stride / np.maximum(np.linalg.norm(way, axis=2, keepdims=True), 1e-6))
         places = self._ends + way.reshape(-1, ENDS_SIZE)
         return np.concatenate([places, self._rises[:, None] + rises], axis=1).astype(np.float32)
 
