@@ -1,8 +1,8 @@
 """`sac` and `sac_large_buffer`: SB3's SAC, flat, on the environment's own reward (section 4.3).
 
 The paper compares with SAC of Unity's toolkit, whose replay buffer holds 50,000 transitions; SB3's holds a million. At
-the same number of environment steps and within the hour that every method has, one gradient step follows each step of
-all environments together.
+the same number of environment steps and within the hour that every method has, one gradient step follows every other
+step of all environments together.
 """
 
 from __future__ import annotations
@@ -172,7 +172,8 @@ class SacTraining(CollectedTraining):
         for step in range(sac.n_steps):
             seen.append(np.asarray(self.learner._last_obs, np.float32))
             self.learner.collect(self.env, self.callback)
-            if done + (step + 1) * self.config.n_envs >= sac.learning_starts:
+            taken = done // self.config.n_envs + step + 1  # by each environment
+            if taken * self.config.n_envs >= sac.learning_starts and taken % sac.train_every == 0:
                 self.learner.train(sac.gradient_steps, sac.batch_size)
         self.learner.observe(np.concatenate(seen))
         return self.row()
