@@ -78,7 +78,7 @@ TRIALS: dict[str, tuple[Trial, ...]] = {
     ),
 }
 
-#: Name of the trial that each method's reference run was trained with; ``sac`` stands for both sizes of buffer.
+#: Name of the trial that each method is configured by, its first until all are made; ``sac`` stands for both buffers.
 CHOSEN = {"ppo_lstm": "lambda 0.95, as usual", "fun": "lambda 0.95, as usual", "sac": "as in the paper, else SB3's"}
 
 
