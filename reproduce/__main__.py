@@ -80,13 +80,14 @@ def evaluate(
     ablation: Annotated[
         str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln, for a policy of two layers")
     ] = None,
+    easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     json: JsonFile = None,
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
     from reproduce.evaluation import evaluate as test
     from reproduce.files import write_json
 
-    result = test(run, tests, first_seed, ablation=ablation)
+    result = test(run, tests, first_seed, ablation=ablation, easy=easy)
     if json:
         write_json(json, result)
     _print_evaluation(result)
@@ -298,8 +299,8 @@ def solvable(
 @app.command()
 def tune(
     method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
-    steps: Annotated[int, typer.Option(help="environment steps of a trial")] = 250_000,
-    tests: Annotated[int, typer.Option(help="validation scenes after each")] = 100,
+    steps: Annotated[int, typer.Option(help="environment steps of a trial")] = 300_000,
+    tests: Annotated[int, typer.Option(help="easy validation scenes after each")] = 100,
 ) -> None:
     """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
     from reproduce.tuning import tune as run

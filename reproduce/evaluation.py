@@ -27,6 +27,7 @@ from reproduce.hrl.ablation import ablated
 from reproduce.policy import Policy
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS, Method, load_policy
+from reproduce.sampling import easy_scene
 from reproduce.statistics import summarise
 
 _STATE: dict[str, Any] = {}
@@ -79,10 +80,11 @@ def _prepare(where: str, ablation: str | None) -> None:
     _STATE["policy"] = find_policy(where, ablation)[1]
 
 
-def _test(seed: int, posture: str | None, task: str | None) -> dict[str, Any]:
+def _test(seed: int, posture: str | None, task: str | None, easy: bool) -> dict[str, Any]:
     if hasattr(_STATE["policy"], "reseed"):
         _STATE["policy"].reseed(seed)
-    return run_episode(_STATE["env"], _STATE["policy"], sample_scene(seed, posture=posture, task=task))
+    scene = easy_scene(seed) if easy else sample_scene(seed, posture=posture, task=task)
+    return run_episode(_STATE["env"], _STATE["policy"], scene)
 
 
 def rescue_scenes(
@@ -94,6 +96,7 @@ def rescue_scenes(
     posture: str | None = None,
     task: str | None = None,
     ablation: str | None = None,
+    easy: bool = False,
 ) -> list[dict[str, Any]]:
     """Test a policy; one row a scene, in the order of seeds.
 
@@ -112,7 +115,7 @@ def rescue_scenes(
     find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
     workers = workers or len(os.sched_getaffinity(0))
     context = multiprocessing.get_context("forkserver")
-    job = partial(_test, posture=posture, task=task)
+    job = partial(_test, posture=posture, task=task, easy=easy)
     try:
         with ProcessPoolExecutor(workers, context, _prepare, (str(where), ablation)) as pool:
             answers = pool.map(job, range(first_seed, first_seed + tests), chunksize=4)
@@ -122,16 +125,22 @@ def rescue_scenes(
 
 
 def evaluate(
-    where: str | Path, tests: int, first_seed: int = 0, quiet: bool = False, ablation: str | None = None
+    where: str | Path,
+    tests: int,
+    first_seed: int = 0,
+    quiet: bool = False,
+    ablation: str | None = None,
+    easy: bool = False,
 ) -> dict[str, Any]:
     """What ``evaluation.json`` holds."""
     method, _ = find_policy(where, ablation)
     begun = time.monotonic()
-    rows = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation)
+    rows = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy)
     seconds = time.monotonic() - begun
     return {
         "method": method.name,
         **({} if ablation is None else {"ablation": ablation}),
+        **({"scenes": "easy"} if easy else {}),
         "first_seed": first_seed,
         "split": split_of(first_seed),
         **summarise(rows),
