@@ -172,6 +172,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         if simulation.worn:
             simulation.renew()
             self.robot = Robot(simulation)
+        self.robot.rest()
         simulation.clear([self.robot.handle])
         simulation.set_up_vector(terrain.up())
         simulation.set_friction(scene.friction, [(self.robot.handle, self.robot.links)])

@@ -115,11 +115,15 @@ class Robot:
         """Inverse of Eq. 3, clipped to [-1, 1]."""
         return np.clip((angles - self.initial) / self.window, -1.0, 1.0)
 
+    def rest(self) -> None:
+        """Put the joints at q_init, where no link is near another."""
+        self._simulation.reset_joints(self.handle, self._joints, self.initial)
+
     def reset(self, x: float, y: float, yaw: float) -> None:
         """Put the base somewhere and the joints at q_init, at rest, motors holding."""
         quaternion = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
         self._simulation.place(self.handle, np.array([x, y, 0.0]), quaternion)
-        self._simulation.reset_joints(self.handle, self._joints, self.initial)
+        self.rest()
         self._simulation.drive(self.handle, self._joints, self.initial.tolist(), self._torque_list)
 
     def drive(self, action: Array, angles: Array) -> None:
