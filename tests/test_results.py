@@ -8,11 +8,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from lunar_rescue.splits import SPLITS, TRAIN, split_of
 from reproduce import arithmetic
-from reproduce.claims import compute_claims
+from reproduce.claims import compute_claims, final_return, steps_to_converge
 from reproduce.errors import UserError
 from reproduce.evaluation import mass_class
 from reproduce.pages import PAGES, rewritten
@@ -100,6 +101,14 @@ def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: flo
     return folder
 
 
+def _curve(folder: Path, method: str, rise: int, final: float) -> None:
+    """Give every seed of a method a return that rises from 0 to ``final`` at update ``rise`` of 100."""
+    returns = [0.0] * rise + [final] * (100 - rise)
+    curve = pd.DataFrame({"env_steps": range(1000, 101_000, 1000), "return_high": returns})
+    for run in (folder / "reference" / method).iterdir():
+        curve.to_csv(run / "progress.csv", index=False)
+
+
 def _verdicts(folder: Path) -> dict[str, str]:
     return {claim.id: claim.verdict for claim in compute_claims(folder)}
 
@@ -112,7 +121,11 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
 
 def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
     many = {"hrl_dcs": [(985, 1000)] * 5, "hrl_dcs_no_aapf": [(870, 1000)] * 5, "fun": [(998, 1000)] * 5}
-    found = _verdicts(_results(tmp_path, many))
+    folder = _results(tmp_path, many)
+    assert _verdicts(folder)["C4"] == "inconclusive"  # no curves
+    _curve(folder, "hrl_dcs", 30, 9.0)
+    _curve(folder, "hrl_dcs_no_aapf", 50, 8.0)
+    found = _verdicts(folder)
     assert found["C4"] == "verified"
     assert found["C3"] == "contradicted"
     assert found["C5"] == "verified"
@@ -129,10 +142,39 @@ def test_overlapping_intervals_are_inconclusive(tmp_path: Path) -> None:
 
 def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
     folder = _results(tmp_path, {"hrl_dcs": [(196, 200)], "hrl_dcs_no_aapf": [(100, 200)]}, per_test=0.9)
+    _curve(folder, "hrl_dcs", 30, 9.0)
+    _curve(folder, "hrl_dcs_no_aapf", 50, 8.0)
     claims = {claim.id: claim for claim in compute_claims(folder)}
     assert claims["C4"].verdict == "reduced scale" and "by the rule alone verified" in claims["C4"].evidence
     assert claims["C6"].verdict == "reduced scale"
     assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, 1000)
+
+
+def test_convergence_by_hand() -> None:
+    curve = pd.DataFrame({"env_steps": range(10, 1010, 10), "return_high": [0.0] * 50 + [1.0] * 50})
+    # The mean over 20 updates reaches 0.9 with the eighteenth update of the upper half.
+    assert (steps_to_converge(curve), final_return(curve)) == (680, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("rise", "final", "successes", "verdict"),
+    [
+        (20, 4.0, 10, "verified"),
+        (60, 4.0, 10, "contradicted"),  # slower
+        (20, 5.0, 10, "contradicted"),  # more than half the return
+        (20, 4.0, 100, "contradicted"),  # a tenth is solved
+        (40, 4.0, 10, "inconclusive"),  # as fast
+        (20, 4.4, 10, "inconclusive"),  # hardly less than half
+        (20, 4.0, 45, "inconclusive"),
+    ],
+)
+def test_sac_is_to_be_fast_low_and_unsuccessful(
+    rise: int, final: float, successes: int, verdict: str, tmp_path: Path
+) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": [(985, 1000)] * 5, "sac": [(successes, 1000)] * 5})
+    _curve(folder, "hrl_dcs", 40, 9.0)
+    _curve(folder, "sac", rise, final)
+    assert _verdicts(folder)["C1"] == verdict
 
 
 def test_table1_has_the_contract_s_columns(tmp_path: Path) -> None:
