@@ -67,9 +67,8 @@ reference: $(STAMP)  ## train the HRL-DCS reference run again (about an hour) in
 evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each and rewrite table 1 and claims
 	for run in $(wildcard $(REFERENCE)/*/seed*); do \
 		if [ -f $$run/policy.json ]; then target=$$run; else target=$$(basename $$(dirname $$run)); fi; \
-		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; done
-	for run in $(dir $(wildcard $(REFERENCE)/*/seed*/policy.json)); do \
-		$(BIN)/reproduce evaluate $$run --tests 1000 --first-seed 2000000 --json $$run/heldout.json || exit 1; done
+		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; \
+		$(BIN)/reproduce evaluate $$target --tests 1000 --first-seed 2000000 --json $$run/heldout.json || exit 1; done
 	for run in $(dir $(wildcard $(REFERENCE)/hrl_dcs/seed*/policy.json)); do \
 		$(BIN)/reproduce evaluate $$run --tests 200 --json $$run/both_layers.json || exit 1; \
 		for layer in fixed_target anchors_alone untrained_lln; do \
