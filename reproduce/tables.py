@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,18 +46,18 @@ def table1(results: Path = RESULTS) -> pd.DataFrame:
 def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
     """Table 1 for people: every method, saying where there is no run."""
     table = table1(results)
+    held_out = {(run.method, run.seed): run.other("heldout") for run in reference_runs(results)}
     titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()}
     rows = []
     for name, (title, paper) in titles.items():
         mine = table[table["method"] == name].to_dict("records")
-        ours = [
-            f"{_percent(r['success_rate'])} [{_percent(r['wilson_low'])}, {_percent(r['wilson_high'])}]" for r in mine
-        ]
+        held = [held_out[name, r["seed"]] for r in mine]
         rows.append(
             {
                 "method": title,
                 "paper, 1000 tests": _percent(paper) if paper else "-",
-                "ours, success [95 % interval]": ", ".join(ours) or "no run in results/ yet",
+                "ours, success [95 % interval]": ", ".join(_success(r) for r in mine) or "no run in results/ yet",
+                "held out": ", ".join("-" if found is None else _success(found) for found in held),
                 "tests": ", ".join(str(r["tests"]) for r in mine),
                 "env steps": ", ".join(f"{r['env_steps']:,}" for r in mine),
                 "minutes": ", ".join(f"{r['minutes']:.0f}" for r in mine),
@@ -71,6 +71,11 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str
     cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in [head, *rows]]
     lines = ["| " + " | ".join(row) + " |" for row in cells]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
+
+
+def _success(found: Mapping[Any, Any]) -> str:
+    rates = (_percent(found[key]) for key in ("success_rate", "wilson_low", "wilson_high"))
+    return "{} [{}, {}]".format(*rates)
 
 
 def _percent(rate: float) -> str:

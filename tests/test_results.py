@@ -186,6 +186,15 @@ def test_table1_has_the_contract_s_columns(tmp_path: Path) -> None:
     assert table.iloc[0]["minutes"] == 2.0 and table.iloc[0]["paper_success_rate"] == 0.986
 
 
+def test_table1_for_people_has_held_out_scenes_beside_it(tmp_path: Path) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": [(50, 100), (60, 100)]})
+    held = {"success_rate": 0.25, "wilson_low": 0.2, "wilson_high": 0.3}
+    (folder / "reference" / "hrl_dcs" / "seed1" / "heldout.json").write_text(json.dumps(held))
+    row = readable_table1(folder).set_index("method").loc["HRL-DCS"]
+    assert row["held out"] == "-, 25.0 % [20.0 %, 30.0 %]"
+    assert row["ours, success [95 % interval]"].startswith("50.0 % [40.4 %")
+
+
 def test_strange_reference_folders_are_named(tmp_path: Path) -> None:
     (tmp_path / "reference" / "hrl_dcs" / "seedling").mkdir(parents=True)
     with pytest.raises(UserError, match="seedling"):
