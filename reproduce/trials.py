@@ -3,8 +3,7 @@
 HRL-DCS was tuned first, by the trials of ``docs/training_log.md``: since it has its present form (trial 26) by about as
 many as each baseline has here. What they found for environment and exploration is common to all methods: rewards, the
 mirrored view, the curriculum, standardised observations, learning rates that follow the KL. The trials here are of what
-is a baseline's own; the last two or three start from the best before them (``fun``'s from that of ``ppo_lstm``).
-``reproduce tune METHOD`` makes them.
+is a baseline's own; the last two or three start from the best before them. ``reproduce tune METHOD`` makes them.
 """
 
 from __future__ import annotations
@@ -48,6 +47,7 @@ class Trial:
 #: Returns of a whole rescue want the usual lambda; LLN's 0.7 belongs to returns that end with a sub-goal.
 _FLAT = {"low.gae_lambda": 0.95}
 _SLOWLY = {**_FLAT, "low.noise_share": 0.6}
+_SMALL = {**_FLAT, "low.desired_kl": 0.015, "low.final_desired_kl": 0.006}
 #: The best of ``sac``'s first five.
 _CALM = {"sac.first_ent_coef": 0.01}
 _RECURRENT = (
@@ -55,7 +55,7 @@ _RECURRENT = (
     Trial("lambda 0.7, as LLN's", {}),
     Trial("noise falls more slowly", _SLOWLY),
     Trial("more noise", {**_FLAT, "low.log_std_init": -0.5}),
-    Trial("smaller updates", {**_FLAT, "low.desired_kl": 0.015, "low.final_desired_kl": 0.006}),
+    Trial("smaller updates", _SMALL),
     Trial("rollouts twice as long", {**_FLAT, "low.n_steps": 256, "low.batch_size": 2048}),
 )
 
@@ -67,8 +67,8 @@ TRIALS: dict[str, tuple[Trial, ...]] = {
     ),
     "fun": (
         *_RECURRENT,
-        Trial("four times the intrinsic reward", {**_SLOWLY, "fun.intrinsic_weight": 0.2}),
-        Trial("half the horizon", {**_SLOWLY, "fun.horizon": 5}),
+        Trial("four times the intrinsic reward", {**_SMALL, "fun.intrinsic_weight": 0.2}),
+        Trial("half the horizon", {**_SMALL, "fun.horizon": 5}),
     ),
     "sac": (
         Trial("as in the paper, else SB3's", {}),
