@@ -250,7 +250,7 @@ def tables() -> None:
 
 @app.command()
 def bench(
-    part: Annotated[str, typer.Option(help="env, training, profile, ground or all")] = "all",
+    part: Annotated[str, typer.Option(help="env, training, profile, methods, ground or all")] = "all",
     json: JsonFile = None,
 ) -> None:
     """Measure speed, each figure against a peer in the same run."""

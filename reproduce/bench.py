@@ -34,7 +34,7 @@ from reproduce.errors import UserError
 from reproduce.grounds import measure_grounds
 from reproduce.methods.hrl_dcs import make_learner
 from reproduce.methods.stepping import OnlySpaces
-from reproduce.profiling import measure_profile
+from reproduce.profiling import measure_methods, measure_profile
 from reproduce.provenance import provenance
 from reproduce.registry import METHODS
 from reproduce.sampling import WorkerVecEnv
@@ -331,5 +331,6 @@ PARTS: dict[str, Callable[[int, int], dict[str, Any]]] = {
     "env": measure_environments,
     "training": measure_training,
     "profile": measure_profile,
+    "methods": measure_methods,
     "ground": lambda rounds, steps: measure_grounds(),
 }

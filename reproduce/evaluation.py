@@ -63,6 +63,7 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         "mass_class": mass_class(scene.mass),
         "terrain": scene.terrain.kind,
         "rocks": len(scene.rocks),
+        "nearest_mark": env.episode.nearest_mark if scene.rocks else None,
     }
 
 

@@ -248,6 +248,24 @@ def _profile(b: dict[str, Any]) -> str:
     return text + f"\nThe whole training with one thread for PyTorch {one:,.0f} steps/s, with two {two:,.0f}.\n"
 
 
+def methods_block() -> str:
+    """How fast each method trains."""
+    return _measured("bench_methods.json", _bench("methods"), _methods)
+
+
+def _methods(b: dict[str, Any]) -> str:
+    rows = []
+    for name, method in METHODS.items():
+        if method.train is not None:
+            rate, minutes, ratio = (b[f"methods_{name}_{k}"] for k in ("steps_per_s", "minutes", "over_hrl_dcs"))
+            taken = ", ".join(f"{run.minutes:.0f}" for run in runs_of(name)) or "no run"
+            rows.append((f"`{name}`", f"{rate:,.0f}", f"{ratio:.2f}", f"{minutes:.0f}", taken))
+    steps = f"{b['methods_env_steps']:,}"
+    return markdown_table(
+        ("method", "steps/s", "over HRL-DCS", f"minutes for {steps} steps at that rate", "minutes of the run"), rows
+    )
+
+
 def ground_block() -> str:
     """What kinds of ground cost."""
     return _measured("ground.json", "reproduce bench --part ground --json results/ground.json", _grounds)
@@ -320,7 +338,7 @@ PAGES: dict[str, dict[str, Callable[[], str]]] = {
         "solvable": solvable_block,
         "soak": soak_block,
     },
-    "docs/training.md": {"training": training_block, "profile": profile_block},
+    "docs/training.md": {"training": training_block, "profile": profile_block, "methods": methods_block},
 }
 
 

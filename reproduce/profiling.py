@@ -1,7 +1,8 @@
-"""Where a second of HRL-DCS's training goes, and how many threads its learners want.
+"""Where a second of HRL-DCS's training goes, how many threads its learners want, and how fast each method trains.
 
 A training runs as it always does; the calls that make up a second are timed from outside, a nested call is taken off
-the one around it, so the shares add up to one.
+the one around it, so the shares add up to one. Methods are timed in turn, round by round, so that all share a
+machine's noise; how long a committed run took depends on what else the machine did.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ import torch as th
 
 from reproduce.config import PRESETS, TrainingConfig
 from reproduce.methods.hrl_dcs import HierarchicalTraining
+from reproduce.registry import METHODS, Training
 from reproduce.training import THREADS
 
 FIRST_UPDATES = 2  # fill caches; not counted
 THREADS_TRIED = (1, 2)
+METHOD_ROUNDS = 3
+METHOD_UPDATES = 6  # of a method in a round, after the first ones
 
 #: What a second is made of, in the order of a table: key and what it is.
 SHARES = {
@@ -122,3 +126,55 @@ def measure_profile(rounds: int, steps: int) -> dict[str, Any]:
     found = where_a_second_goes(rounds)
     shares = {f"share_{name}": share for name, share in found.pop("shares").items()}
     return {f"profile_{name}": value for name, value in {**found, **shares, **threads_for_learners(rounds)}.items()}
+
+
+def rates_of_methods(
+    rounds: int, updates: int, configs: dict[str, TrainingConfig] | None = None
+) -> dict[str, list[float]]:
+    """Steps a second of each method's training, a figure a round.
+
+    Args:
+        rounds: In each, all methods in turn.
+        updates: Of a method in a round that are counted; before them come those in which it only collects.
+        configs: By method; the laptop preset's of all that learn by default.
+    """
+    if configs is None:
+        configs = {name: method.config("laptop") for name, method in METHODS.items() if method.train is not None}
+    rates: dict[str, list[float]] = {name: [] for name in configs}
+    for _ in range(rounds):
+        for name, config in configs.items():
+            make = METHODS[name].train
+            assert make is not None
+            with closing(make(config, 0)) as training:
+                rates[name].append(_rate(training, updates))
+    return rates
+
+
+def _rate(training: Training, updates: int) -> float:
+    """Steps a second of some updates, once the learner learns."""
+    size, done = training.steps_per_update, 0
+    first = max(FIRST_UPDATES * size, training.config.sac.learning_starts)
+    while done < first:
+        training.update(done)
+        done += size
+    begun = time.perf_counter()
+    for _ in range(updates):
+        training.update(done)
+        done += size
+    return updates * size / (time.perf_counter() - begun)
+
+
+def measure_methods(rounds: int, steps: int) -> dict[str, Any]:
+    """What ``bench --part methods`` measures: rates, and how many minutes the laptop preset's steps would take so."""
+    th.set_num_threads(THREADS)
+    rates = rates_of_methods(METHOD_ROUNDS, METHOD_UPDATES)
+    wanted = PRESETS["laptop"].steps
+    found: dict[str, Any] = {"methods_env_steps": wanted}
+    for name, each in rates.items():
+        ratios = [rate / ours for rate, ours in zip(each, rates["hrl_dcs"], strict=True)]
+        found |= {
+            f"methods_{name}_steps_per_s": round(median(each), 1),
+            f"methods_{name}_minutes": round(wanted / median(each) / 60.0, 1),
+            f"methods_{name}_over_hrl_dcs": round(median(ratios), 3),
+        }
+    return found

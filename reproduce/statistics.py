@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest, norm, ttest_1samp
 
 CONFIDENCE = 0.95
 CONDITIONS = ("terrain", "mass_class", "rocks")  # of a scene, which not every row tells
@@ -66,6 +67,7 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "wilson_low": low,
         "wilson_high": high,
         "both_arms_under": sum(bool(e["both_arms_under"]) for e in episodes) / tests if tests else 0.0,
+        **nearest_marks(episodes),
         "by_task": count_by(episodes, "task"),
         "by_posture": count_by(episodes, "posture"),
         "by_posture_and_task": count_by(
@@ -75,6 +77,26 @@ def summarise(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         **{f"by_{key}": count_by(episodes, key) for key in CONDITIONS if episodes and key in episodes[0]},
         "failures": dict(Counter(str(e["failure"]) for e in episodes if e["failure"] is not None).most_common()),
     }
+
+
+def nearest_marks(episodes: Sequence[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """How near a joint came to a rock's mark points in each test [m], to the millimetre; None in scenes without."""
+    if not episodes or "nearest_mark" not in episodes[0]:
+        return {}
+    found = (e["nearest_mark"] for e in episodes)
+    return {"nearest_mark": [None if distance is None else round(float(distance), 3) for distance in found]}
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Mean with Student's 95 % interval; of differences of pairs, that of a paired t-test.
+
+    Raises:
+        ValueError: Where there are not two values at least.
+    """
+    if len(values) < 2:
+        raise ValueError(f"mean_interval: expected two values at least, got {len(values)}")
+    interval = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
+    return float(np.mean(values)), float(interval.low), float(interval.high)
 
 
 def count_by(episodes: Iterable[dict[str, Any]], key: str) -> dict[str, dict[str, int]]:

@@ -13,7 +13,7 @@ from reproduce.files import read_json, write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS
 from reproduce.results import RESULTS, Run, reference_runs
-from reproduce.statistics import paired_difference, wilson
+from reproduce.statistics import mean_interval, paired_difference, wilson
 
 COLUMNS = [
     "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
@@ -109,6 +109,39 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
             difference, low, high = paired_difference(chosen["outcomes"], other["outcomes"])
             rows.append((f"{to} - {method} seed {seed}", other["tests"], difference, low, high))
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
+
+
+def nearest_to_rocks(
+    results: Path = RESULTS, first: str = "hrl_dcs", second: str = "hrl_dcs_no_aapf", name: str = "evaluation"
+) -> pd.DataFrame:
+    """How near two methods' joints come to rocks: means over the scenes that have any, and the paired difference [m].
+
+    Args:
+        results: Folder of results.
+        first: Method, its first seed.
+        second: Method, its first seed.
+        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    """
+    found = []
+    for method in (first, second):
+        told = [run.other(name) for run in reference_runs(results) if run.method == method]
+        found.append(next((t for t in told if t is not None and "nearest_mark" in t), None))
+    one, other = found
+    columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
+    if one is None or other is None or any(one[key] != other[key] for key in ("first_seed", "tests")):
+        return pd.DataFrame(columns=columns).set_index(columns[0])
+    pairs = [
+        (a, b)
+        for a, b in zip(one["nearest_mark"], other["nearest_mark"], strict=True)
+        if a is not None and b is not None
+    ]
+    ours, theirs = ([pair[i] for pair in pairs] for i in (0, 1))
+    rows = [
+        (first, len(pairs), *mean_interval(ours)),
+        (second, len(pairs), *mean_interval(theirs)),
+        (f"{first} - {second}", len(pairs), *mean_interval([a - b for a, b in pairs])),
+    ]
+    return pd.DataFrame(rows, columns=columns).set_index(columns[0])
 
 
 #: Key of an evaluation and what its groups are.

@@ -66,7 +66,7 @@ def test_parts_run_alone_or_together(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "PARTS", parts)
     assert {"env", "training"} <= set(measure("all", 2, 3))
     assert "training" not in measure("env", 2, 3) and measure("training", 2, 3)["training"] == 6
-    with pytest.raises(UserError, match=r"--part.*env, training, profile, ground, all.*physics"):
+    with pytest.raises(UserError, match=r"--part.*env, training, profile, methods, ground, all.*physics"):
         measure("physics")
 
 

@@ -136,6 +136,20 @@ def test_contact_reward_replaces_the_aapf_term_and_nothing_else() -> None:
     ablated.close()
 
 
+def test_the_nearest_mark_point_of_an_episode_is_remembered(env: LunarRescueEnv) -> None:
+    rocks, none = (next(s for s in map(sample_scene, range(100)) if bool(s.rocks) is some) for some in (True, False))
+    env.reset_flat(options={"scene": none})
+    env.step_flat(np.ones(11))
+    assert env.episode.nearest_mark == math.inf
+    env.reset_flat(options={"scene": rocks})
+    seen = []
+    for _ in range(8):
+        env.step_flat(np.ones(11))
+        points, marks = env.episode.robot.points, env.episode.marks
+        seen.append(min(float(np.linalg.norm(point - mark)) for point in points for mark in marks))
+    assert env.episode.nearest_mark == pytest.approx(min(seen), abs=1e-6) and max(seen) > min(seen)
+
+
 def test_time_limit() -> None:
     env = LunarRescueEnv(max_steps=3)
     env.reset_flat(seed=0)

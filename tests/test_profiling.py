@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from reproduce.config import PRESETS
-from reproduce.profiling import SHARES, Clock, where_a_second_goes
+from reproduce.profiling import SHARES, Clock, rates_of_methods, where_a_second_goes
 
 
 class _Work:
@@ -40,3 +40,12 @@ def test_shares_of_a_training_add_up_to_one() -> None:
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3)
     assert all(shares[name] > 0 for name in SHARES)
     assert shares["other"] < 0.2 and found["steps_per_s"] > 0
+
+
+def test_methods_are_timed_in_turn_and_once_they_learn() -> None:
+    smoke = PRESETS["smoke"]
+    small = replace(smoke, n_envs=4, low=replace(smoke.low, n_steps=32, batch_size=64))
+    small = replace(small, sac=replace(small.sac, n_steps=32, learning_starts=300))
+    rates = rates_of_methods(2, 1, {"sac": small, "ppo_lstm": small})
+    assert list(rates) == ["sac", "ppo_lstm"]
+    assert all(len(found) == 2 and min(found) > 0 for found in rates.values())

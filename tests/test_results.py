@@ -21,8 +21,8 @@ from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.results import ROOT, reference_runs
 from reproduce.settings import settings_table
 from reproduce.splits import train_seed
-from reproduce.statistics import count_by, paired_difference, summarise, wilson
-from reproduce.tables import paired_differences, readable_table1, table1
+from reproduce.statistics import count_by, mean_interval, paired_difference, summarise, wilson
+from reproduce.tables import nearest_to_rocks, paired_differences, readable_table1, table1
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -74,6 +74,25 @@ def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None
         (run / "evaluation.json").write_text(json.dumps(told))
     table = paired_differences(tmp_path)
     assert list(table.index) == ["hrl_dcs - fun seed 0"] and table["difference"].iloc[0] == 0.25
+
+
+def test_how_near_rocks_were_is_compared_where_there_are_rocks(tmp_path: Path) -> None:
+    assert nearest_to_rocks(tmp_path).empty
+    told = {"hrl_dcs": [0.5, None, 0.25, 0.3], "hrl_dcs_no_aapf": [0.4, None, 0.25, 0.1]}
+    for name, marks in told.items():
+        run = tmp_path / "reference" / name / "seed0"
+        run.mkdir(parents=True)
+        (run / "evaluation.json").write_text(json.dumps({"tests": 4, "first_seed": 0, "nearest_mark": marks}))
+    table = nearest_to_rocks(tmp_path)
+    assert list(table["scenes with rocks"]) == [3, 3, 3]
+    assert list(table["mean"]) == pytest.approx([0.35, 0.25, 0.1])
+    low, high = table[["low", "high"]].loc["hrl_dcs - hrl_dcs_no_aapf"]
+    half = 4.302653 * 0.1 / 3**0.5  # Student's quantile of two degrees of freedom; 0.1, 0 and 0.2 deviate by 0.1
+    assert (low, high) == pytest.approx((0.1 - half, 0.1 + half), abs=1e-6)
+    with pytest.raises(ValueError, match="two values"):
+        mean_interval([1.0])
+    marked = [{**_episode(True, "lift", "a", None), "nearest_mark": mark} for mark in (0.12345, None)]
+    assert summarise(marked)["nearest_mark"] == [0.123, None]
 
 
 def test_every_setting_says_where_it_comes_from() -> None:

@@ -211,6 +211,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
     def _judge(self, e: Episode, moved: Array) -> tuple[dict[str, float], bool, str | None]:
         """Update the episode's memory; return reward terms, success and failure."""
         clearance = self._mark_distances(e)
+        e.nearest_mark = min(e.nearest_mark, clearance.min(initial=math.inf))
         touches = self._touches_rock(e, clearance)
         e.rock_contact = e.rock_contact or touches
         distance = e.distances() if e.process == 1 else np.full(2, e.task.pose_error(e.body))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -38,6 +39,7 @@ class Episode:
     steps: int = 0
     rock_contact: bool = False
     aapf: float = 0.0  # AAPF term of the last step
+    nearest_mark: float = math.inf  # least distance of a joint to a mark point in any step [m]
     _ways: Array = field(init=False)  # from targets to entries (2, 3) [m]
     _directions: Array = field(init=False)  # the same, unit length
     _lengths: Array = field(init=False)
