@@ -19,7 +19,7 @@ import typer
 from gymnasium.wrappers import TransformReward
 from numpy.typing import NDArray
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from reproduce.config import PRESETS, HierarchyConfig, LearnerConfig, TrainingConfig
 from reproduce.fun.config import FunConfig
@@ -78,7 +78,7 @@ def two_layers(steps: int, seed: int = 0) -> list[float]:
 def feudal(steps: int, seed: int = 0) -> list[float]:
     """Train Manager and Worker; see ``two_layers``."""
     set_random_seed(seed)
-    venv, config = make_environments(), configuration(steps)
+    venv, config = VecMonitor(make_environments()), configuration(steps)
     venv.seed(seed)
     learner = make_fun_learner(
         venv,
@@ -92,8 +92,9 @@ def feudal(steps: int, seed: int = 0) -> list[float]:
         learner._current_progress_remaining = 1.0 - done / steps
         learner.collect_rollouts(venv, callback, learner.rollout_buffer, config.low.n_steps)
         learner.train()
-        # Every episode of Pendulum is 200 steps, as a rollout is.
-        return float(np.sum(learner.rollout_buffer.rewards) / ENVS)
+        # Every episode of Pendulum is 200 steps, as a rollout is, so each environment ended one.
+        assert learner.ep_info_buffer is not None
+        return float(np.mean([episode["r"] for episode in list(learner.ep_info_buffer)[-ENVS:]]))
 
     return _train(update, steps, config.low.n_steps * ENVS)
 

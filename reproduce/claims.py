@@ -1,15 +1,24 @@
 """The paper's claims C1 to C8, each with a verdict by rule from what lies in results/. Nothing is typed.
 
-A claim has one part or several. A part about success holds when the 95 % Wilson intervals of the pooled tests do not
-overlap in the claimed direction, and fails when they do not overlap in the other. A part about the training return
-(of the environment's own reward, over the last twentieth of the updates) or about convergence (environment steps
-until the return has come 90 % of its way up, smoothed over 20 updates) holds when all seeds of one method lie on the
-claimed side of all of the other's, by 5 % of the larger at least, and fails when they lie on the other so. "Much
-lower" is less than half, "not solved" fewer than 5 % of the tests. A claim is ``verified`` when all its parts hold,
-``contradicted`` when one fails, else ``inconclusive``. A claim about a number is ``verified`` when the paper's number
-lies in our interval or below it, ``contradicted`` when above. Fewer training seeds than ``ENOUGH_SEEDS`` or tests a
-seed than ``ENOUGH_TESTS`` make any such verdict ``reduced scale``; the evidence then says what the rule alone would
-give. Without runs a claim is ``inconclusive``.
+A claim has one part or several. It is ``verified`` when all its parts hold, ``contradicted`` when one fails, else
+``inconclusive``.
+
+- Success: the first method's is the higher when the 95 % interval of the difference lies above 0, and the lower when it
+  lies below. With one training each that is the interval of paired tests (Agresti and Min), which says nothing of other
+  trainings; with several each it is Welch's of the trainings' rates. Not solved is fewer than 5 % of the tests.
+- Return in the end (of the environment's own reward, over the last twentieth of the updates) and convergence
+  (environment steps until the return, smoothed over 20 updates, has come 90 % of its way up): all trainings of one
+  method must lie on the claimed side of all of the other's, by 5 % of the larger at least. A return that ends no
+  higher than it began, by that margin and by its own spread, has not converged, and the part stays open. "Much lower"
+  is less than half.
+- A number (C5): the paper's lies in our interval or below it; contradicted when it lies above. The interval is Wilson's
+  of all tests or, for several trainings and where it is wider, Student's of their rates.
+- Time (C6): no test takes longer on average than the paper's; this needs tests, and no more than one training.
+- Any posture (C7): the weakest of the 20, trainings together, has a Wilson interval above 90 %; contradicted when it
+  lies below.
+
+Fewer trainings than ``ENOUGH_SEEDS`` or tests a training than ``ENOUGH_TESTS`` make any such verdict ``reduced scale``;
+the evidence then says what the rule alone would give. Without runs a claim is ``inconclusive``.
 """
 
 from __future__ import annotations
@@ -20,15 +29,17 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.stats import ttest_ind
 
 from reproduce.files import write_json
 from reproduce.provenance import record_origin
 from reproduce.results import RESULTS, Run, runs_of
-from reproduce.statistics import intervals_overlap, wilson
+from reproduce.statistics import CONFIDENCE, mean_interval, paired_difference, wilson
 
 ENOUGH_SEEDS = 5  # one seed each says nothing of the variance between trainings
 ENOUGH_TESTS = 1000  # as in the paper; 50 cannot separate 98.6 % from 91.8 %
 POSTURES = 20
+SERVED = 0.9  # what every posture must reach; the paper gives no figure
 UNSOLVED = 0.05  # the paper gives SAC no figure at all
 CONVERGED = 0.9  # share of the way up
 MARGIN = 0.05  # of the larger: what returns or steps must differ by
@@ -42,7 +53,7 @@ class Claim:
         id: C1 to C8.
         statement: What the paper claims.
         paper: Its figure.
-        measured: Ours, or None.
+        measured: Ours, or None: a share of tests; C2 a ratio of environment steps, C6 seconds a test.
         low: Lower end of the interval of ``measured``.
         high: Upper end.
         seeds: Training seeds behind it.
@@ -88,9 +99,18 @@ class Pool:
         return self.successes / self.tests
 
     @property
+    def rates(self) -> list[float]:
+        """Success rate of each training."""
+        return [float(run.evaluation["success_rate"]) for run in self.runs if run.evaluation]
+
+    @property
     def interval(self) -> tuple[float, float]:
-        """Wilson interval."""
-        return wilson(self.successes, self.tests)
+        """Of the success rate: Wilson's of all tests; for several trainings Student's of their rates where wider."""
+        low, high = wilson(self.successes, self.tests)
+        if len(self.runs) > 1:
+            _, lower, higher = mean_interval(self.rates)
+            low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
+        return low, high
 
     @property
     def enough(self) -> bool:
@@ -129,9 +149,25 @@ class Part:
 
 def succeeds_more(first: Pool, second: Pool) -> Part:
     """Whether the first succeeds more often."""
+    found = _difference(first, second)
     words = f"success: {first.words()} against {second.words()}"
-    apart = not intervals_overlap(first.interval, second.interval)
-    return Part(words, first.rate > second.rate if apart else None)
+    if found is None:
+        return Part(f"{words}, not on the same scenes", None)
+    kind, low, high = found
+    words += f", {kind} difference [{100 * low:+.2f}, {100 * high:+.2f}] points"
+    return Part(words, True if low > 0.0 else (False if high < 0.0 else None))
+
+
+def _difference(first: Pool, second: Pool) -> tuple[str, float, float] | None:
+    """Interval of the difference of two success rates and what it is of; None where scenes are not the same."""
+    if len(first.runs) > 1 and len(second.runs) > 1:
+        low, high = ttest_ind(first.rates, second.rates, equal_var=False).confidence_interval(CONFIDENCE)
+        return "trainings'", float(low), float(high)
+    ours, theirs = first.runs[0].evaluation or {}, second.runs[0].evaluation or {}
+    if not ours.get("outcomes") or any(ours.get(key) != theirs.get(key) for key in ("tests", "first_seed")):
+        return None
+    _, low, high = paired_difference(ours["outcomes"], theirs["outcomes"])
+    return "paired", low, high
 
 
 def unsolved(found: Pool) -> Part:
@@ -151,9 +187,15 @@ def returns_more(first: Pool, second: Pool, times: float = 1.0) -> Part:
 
 def converges_faster(first: Pool, second: Pool) -> Part:
     """Whether the first converges in fewer environment steps."""
-    found = [[float(steps_to_converge(curve)) for curve in pool.curves()] for pool in (first, second)]
-    words = f"env steps to converge: {first.method} {_listed(found[0])}, {second.method} {_listed(found[1])}"
-    return Part(words, _above(found[1], found[0]))
+    found = [[steps_to_converge(curve) for curve in pool.curves()] for pool in (first, second)]
+    told = (", ".join("none" if n is None else f"{n:,}" for n in steps) or "no curve" for steps in found)
+    words = "env steps to converge: {} {}, {} {}".format(
+        *(word for pair in zip((first.method, second.method), told, strict=True) for word in pair)
+    )
+    if any(steps is None for each in found for steps in each):
+        return Part(words, None)
+    ours, theirs = ([float(steps) for steps in each if steps is not None] for each in found)
+    return Part(words, _above(theirs, ours))
 
 
 def _above(high: list[float], low: list[float]) -> bool | None:
@@ -174,11 +216,14 @@ def final_return(curve: pd.DataFrame) -> float:
     return float(curve["return_high"].tail(max(1, len(curve) // 20)).mean())
 
 
-def steps_to_converge(curve: pd.DataFrame) -> int:
-    """Environment steps until the smoothed return has come 90 % of its way from the first to the last."""
+def steps_to_converge(curve: pd.DataFrame) -> int | None:
+    """Environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
     smooth = curve["return_high"].rolling(20, min_periods=1).mean()
     first, last = float(smooth.iloc[0]), final_return(curve)
-    reached = np.flatnonzero((smooth - first).abs() >= CONVERGED * abs(last - first))
+    spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
+    if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
+        return None
+    reached = np.flatnonzero(smooth - first >= CONVERGED * (last - first))
     return int(curve["env_steps"].iloc[reached[0]]) if len(reached) else int(curve["env_steps"].iloc[-1])
 
 
@@ -224,6 +269,21 @@ def _with(claim: Claim, **changes: object) -> Claim:
     return Claim(**{**asdict(claim), **changes})
 
 
+def _c2(results: Path) -> Claim:
+    claim = Claim("C2", "HRL-DCS converges slightly faster than FeUdal Networks", "59 h against 67 h")
+    judged = judge(claim, "hrl_dcs", "fun", lambda a, b: [converges_faster(a, b)], results)
+    steps = [_mean_steps(pool(method, results)) for method in ("hrl_dcs", "fun")]
+    ratio = None if steps[0] is None or steps[1] is None else steps[0] / steps[1]
+    return _with(judged, measured=ratio, low=None, high=None)
+
+
+def _mean_steps(found: Pool | None) -> float | None:
+    """Mean of the steps to converge, None where one training has not."""
+    steps = [steps_to_converge(curve) for curve in found.curves()] if found else []
+    known = [float(number) for number in steps if number is not None]
+    return float(np.mean(known)) if known and len(known) == len(steps) else None
+
+
 def _c6(results: Path) -> Claim:
     claim = Claim("C6", "1000 tests take 652 s", "0.652 s a test")
     found = pool("hrl_dcs", results)
@@ -250,16 +310,17 @@ def _c7(results: Path) -> Claim:
     found = pool("hrl_dcs", results)
     if found is None:
         return _with(claim, evidence="no evaluated run of hrl_dcs in results/reference")
-    worst = [
-        (counts["successes"] / counts["tests"], wilson(counts["successes"], counts["tests"]), name)
-        for run in found.runs
-        if run.evaluation
-        for name, counts in run.evaluation["by_posture"].items()
-    ]
-    rate, (low, high), name = min(worst)
-    met = len({w[2] for w in worst}) == POSTURES
-    rule = "verified" if met and low >= 0.9 else ("contradicted" if high < 0.9 else "inconclusive")
-    words = f"weakest posture {name}: {100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]; rule: 90 % in each"
+    pooled: dict[str, list[int]] = {}
+    for run in found.runs:
+        for name, counts in (run.evaluation or {})["by_posture"].items():
+            mine = pooled.setdefault(name, [0, 0])
+            mine[0] += int(counts["successes"])
+            mine[1] += int(counts["tests"])
+    rate, name = min((successes / tests, name) for name, (successes, tests) in pooled.items())
+    low, high = wilson(*pooled[name])
+    enough = len(pooled) == POSTURES and low >= SERVED
+    rule = "verified" if enough else ("contradicted" if high < SERVED else "inconclusive")
+    words = f"weakest posture {name}: {100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
     judged = _judged(claim, found, rule, words, found.enough)
     return _with(judged, measured=rate, low=low, high=high)
 
@@ -267,7 +328,6 @@ def _c7(results: Path) -> Claim:
 def compute_claims(results: Path = RESULTS) -> list[Claim]:
     """All claims in order."""
     c1 = Claim("C1", "SAC converges faster, to a much lower return, and does not solve the task", "no figure")
-    c2 = Claim("C2", "HRL-DCS converges slightly faster than FeUdal Networks", "59 h against 67 h")
     c3 = Claim("C3", "HRL-DCS succeeds more often than FeUdal Networks", "98.6 % against 91.8 %")
     c4 = Claim(
         "C4",
@@ -285,7 +345,7 @@ def compute_claims(results: Path = RESULTS) -> list[Claim]:
         judge(
             c1, "sac", "hrl_dcs", lambda a, b: [converges_faster(a, b), returns_more(b, a, 2.0), unsolved(a)], results
         ),
-        judge(c2, "hrl_dcs", "fun", lambda a, b: [converges_faster(a, b)], results),
+        _c2(results),
         judge(c3, "hrl_dcs", "fun", lambda a, b: [succeeds_more(a, b)], results),
         judge(
             c4,
@@ -312,5 +372,6 @@ def write_claims(claims: list[Claim], path: Path | None = None) -> Path:
 def print_claims(claims: list[Claim]) -> None:
     """Print a line a claim."""
     for c in claims:
-        measured = "" if c.measured is None or c.low is None else f" {c.measured:.3f} [{c.low:.3f}, {c.high:.3f}];"
+        interval = "" if c.low is None else f" [{c.low:.3f}, {c.high:.3f}]"
+        measured = "" if c.measured is None else f" {c.measured:.3f}{interval};"
         print(f"{c.id} {c.verdict}: {c.statement} (paper: {c.paper});{measured} {c.evidence}")

@@ -1,9 +1,10 @@
 """The tuning trials that every baseline gets, as data, and what was chosen from them.
 
 HRL-DCS was tuned first, by the trials of ``docs/training_log.md``: since it has its present form (trial 26) by about as
-many as each baseline has here. What they found for environment and exploration is common to all methods: rewards, the
-mirrored view, the curriculum, standardised observations, learning rates that follow the KL. The trials here are of what
-is a baseline's own; the last two or three start from the best before them. ``reproduce tune METHOD`` makes them.
+many as each baseline has here, though longer ones and on all scenes. What they found for environment and exploration is
+common to all methods: rewards, the mirrored view, the curriculum, standardised observations, learning rates that follow
+the KL. The trials here are of what is a baseline's own; the last two or three start from the best before them.
+``reproduce tune METHOD`` makes them.
 """
 
 from __future__ import annotations

@@ -185,6 +185,17 @@ def test_share_of_random_goals(share: float) -> None:
         assert float(drawn.mean(0).norm()) < 4 / np.sqrt(len(drawn))  # in no direction rather than another
 
 
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
+def test_random_goals_are_sent_while_collecting(share: float) -> None:
+    learner = make(replace(SMALL, random_goals=share))
+    found = []
+    for _ in range(20):
+        buffer = collect(learner)
+        found.append((buffer.goals != buffer.own_goals).any(-1).flatten())
+    sent = float(th.cat(found).float().mean())
+    assert sent == share if share in (0.0, 1.0) else abs(sent - share) < 0.05  # 1,560 steps: 5 deviations
+
+
 def test_a_zero_goal_gives_a_zero_mean_action() -> None:
     worker = FunSpec(3, 2, 16, D, 3, C).build().worker
     assert worker.phi.bias is None

@@ -112,6 +112,7 @@ def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: flo
             low, high = wilson(successes, tests)
             evaluation = {
                 "tests": tests, "successes": successes, "success_rate": successes / tests, "wilson_low": low,
+                "first_seed": 0, "outcomes": "1" * successes + "0" * (tests - successes),
                 "wilson_high": high, "seconds_per_test": per_test,
                 "by_posture": {f"p{i}": {"tests": tests // 20, "successes": -(-successes // 20)} for i in range(20)},
             }  # fmt: skip
@@ -138,9 +139,13 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     assert "no run in results/ yet" in set(readable_table1(tmp_path)["ours, success [95 % interval]"])
 
 
+def _five(successes: int, spread: int = 2) -> list[tuple[int, int]]:
+    """Five trainings of 1000 tests each."""
+    return [(successes + spread * k, 1000) for k in (-2, -1, 0, 1, 2)]
+
+
 def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
-    many = {"hrl_dcs": [(985, 1000)] * 5, "hrl_dcs_no_aapf": [(870, 1000)] * 5, "fun": [(998, 1000)] * 5}
-    folder = _results(tmp_path, many)
+    folder = _results(tmp_path, {"hrl_dcs": _five(985), "hrl_dcs_no_aapf": _five(870), "fun": _five(994)})
     assert _verdicts(folder)["C4"] == "inconclusive"  # no curves
     _curve(folder, "hrl_dcs", 30, 9.0)
     _curve(folder, "hrl_dcs_no_aapf", 50, 8.0)
@@ -153,10 +158,23 @@ def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
     assert found["C8"] == "inconclusive"
 
 
-def test_overlapping_intervals_are_inconclusive(tmp_path: Path) -> None:
-    found = _verdicts(_results(tmp_path, {"hrl_dcs": [(900, 1000)] * 5, "hrl_dcs_no_aapf": [(898, 1000)] * 5}))
-    assert found["C4"] == "inconclusive"
-    assert found["C5"] == "contradicted"
+def test_trainings_that_differ_among_themselves_leave_it_open(tmp_path: Path) -> None:
+    """5000 tests each tell 900 from 870, but not where trainings of one method differ by 100."""
+    found = _verdicts(_results(tmp_path / "apart", {"hrl_dcs": _five(900), "fun": _five(870)}))
+    assert (found["C3"], found["C5"]) == ("verified", "contradicted")
+    found = _verdicts(_results(tmp_path / "spread", {"hrl_dcs": _five(900, 50), "fun": _five(870)}))
+    assert (found["C3"], found["C5"]) == ("inconclusive", "verified")  # 98.6 % is within what five such trainings say
+
+
+def test_one_training_each_is_judged_by_pairs(tmp_path: Path) -> None:
+    """930 and 915 of 1000 have intervals that overlap, but all of the 15 scenes that differ speak for the first."""
+    folder = _results(tmp_path, {"hrl_dcs": [(930, 1000)], "fun": [(915, 1000)]})
+    evidence = next(claim.evidence for claim in compute_claims(folder) if claim.id == "C3")
+    assert "paired difference [+0." in evidence and "by the rule alone verified" in evidence
+    path = folder / "reference" / "fun" / "seed0" / "evaluation.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "first_seed": 5}))
+    evidence = next(claim.evidence for claim in compute_claims(folder) if claim.id == "C3")
+    assert "not on the same scenes (open)" in evidence
 
 
 def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
@@ -169,16 +187,47 @@ def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
     assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, 1000)
 
 
+def test_postures_are_judged_over_all_trainings(tmp_path: Path) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": _five(985)})
+    for seed, counts in enumerate([(50, 50), (50, 50), (50, 50), (50, 50), (35, 50)]):
+        path = folder / "reference" / "hrl_dcs" / f"seed{seed}" / "evaluation.json"
+        told = json.loads(path.read_text())
+        told["by_posture"] = {f"p{i}": {"tests": 50, "successes": 50} for i in range(20)}
+        told["by_posture"]["p7"] = dict(zip(("successes", "tests"), counts, strict=True))
+        path.write_text(json.dumps(told))
+    judged = next(claim for claim in compute_claims(folder) if claim.id == "C7")
+    assert judged.verdict == "verified" and judged.measured == pytest.approx(235 / 250)
+    assert (judged.low, judged.high) == pytest.approx(wilson(235, 250))
+
+
 def test_convergence_by_hand() -> None:
     curve = pd.DataFrame({"env_steps": range(10, 1010, 10), "return_high": [0.0] * 50 + [1.0] * 50})
     # The mean over 20 updates reaches 0.9 with the eighteenth update of the upper half.
     assert (steps_to_converge(curve), final_return(curve)) == (680, 1.0)
 
 
+@pytest.mark.parametrize("returns", [[1.0] * 100, [1.0] * 50 + [0.0] * 50, [0.3, -0.3] * 49 + [0.4, -0.3]])
+def test_what_does_not_rise_has_not_converged(returns: list[float]) -> None:
+    curve = pd.DataFrame({"env_steps": range(10, 1010, 10), "return_high": returns})
+    assert steps_to_converge(curve) is None
+
+
+def test_c2_is_a_ratio_of_steps(tmp_path: Path) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": _five(985), "fun": _five(900)})
+    _curve(folder, "hrl_dcs", 22, 9.0)
+    _curve(folder, "fun", 62, 9.0)
+    judged = next(claim for claim in compute_claims(folder) if claim.id == "C2")
+    assert judged.verdict == "verified" and judged.measured == pytest.approx(40 / 80) and judged.low is None
+    _curve(folder, "fun", 0, 9.0)
+    judged = next(claim for claim in compute_claims(folder) if claim.id == "C2")
+    assert judged.verdict == "inconclusive" and judged.measured is None and "fun none" in judged.evidence
+
+
 @pytest.mark.parametrize(
     ("rise", "final", "successes", "verdict"),
     [
         (20, 4.0, 10, "verified"),
+        (0, 4.0, 10, "inconclusive"),  # never rises
         (60, 4.0, 10, "contradicted"),  # slower
         (20, 5.0, 10, "contradicted"),  # more than half the return
         (20, 4.0, 100, "contradicted"),  # a tenth is solved
@@ -190,7 +239,7 @@ def test_convergence_by_hand() -> None:
 def test_sac_is_to_be_fast_low_and_unsuccessful(
     rise: int, final: float, successes: int, verdict: str, tmp_path: Path
 ) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": [(985, 1000)] * 5, "sac": [(successes, 1000)] * 5})
+    folder = _results(tmp_path, {"hrl_dcs": _five(985), "sac": _five(successes)})
     _curve(folder, "hrl_dcs", 40, 9.0)
     _curve(folder, "sac", rise, final)
     assert _verdicts(folder)["C1"] == verdict

@@ -20,7 +20,8 @@ class FunConfig:
     """k, size of a goal as Worker sees it; FuN's."""
     intrinsic_weight: float = 0.05
     """alpha, weight of the intrinsic reward in Worker's. It is paid at each step, so a large one pays for not finishing
-    (the small task's policies with 0.5 never did): half of it must stay under what the time bonus loses in a step."""
+    (the small task's policies with 0.5 never did): what it pays on average, about a tenth of it (``fun_intrinsic`` in
+    ``progress.csv`` is the mean before the weight), must stay under what the time bonus loses in a step."""
     random_goals: float = 0.05
     """epsilon, share of steps at which a random goal takes the place of Manager's; FuN says only "small"."""
     manager_gamma: float = 0.99
