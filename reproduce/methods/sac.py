@@ -7,6 +7,7 @@ step of all environments together.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
@@ -148,6 +150,22 @@ def make_sac(env: Any, config: SacConfig, seed: int) -> KeptSAC:
     return learner
 
 
+class BusyEpisodeLog(EpisodeLog):
+    """Lets the learner learn while the workers step; what they step to is in the replay buffer only afterwards."""
+
+    def __init__(self, venv: Any) -> None:
+        """Wrap environments."""
+        super().__init__(venv)
+        #: What the parent does in the steps to come until it waits for the workers.
+        self.meanwhile: Callable[[], None] | None = None
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Learn, then wait."""
+        if self.meanwhile is not None:
+            self.meanwhile()
+        return super().step_wait()
+
+
 class SacTraining(CollectedTraining):
     """Trains SAC; an ``update`` is as many environment steps as one of the other methods'."""
 
@@ -156,7 +174,7 @@ class SacTraining(CollectedTraining):
     def __init__(self, config: TrainingConfig, seed: int) -> None:
         """Start environments and learner."""
         venv = make_environments(config, seed)
-        env = EpisodeLog(venv)
+        env = BusyEpisodeLog(venv)
         self.learner = make_sac(env, config.sac, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
 
@@ -166,17 +184,20 @@ class SacTraining(CollectedTraining):
         return self.config.sac.n_steps * self.config.n_envs
 
     def update(self, done: int) -> dict[str, Any]:
-        """Step and learn by turns; ``done`` steps were taken before."""
+        """Step, and learn meanwhile; ``done`` steps were taken before."""
         self.follow_schedule(done)
         sac, seen = self.config.sac, []
         for step in range(sac.n_steps):
             seen.append(np.asarray(self.learner._last_obs, np.float32))
+            taken = done // self.config.n_envs + step  # by each environment
+            learns = taken * self.config.n_envs >= max(sac.learning_starts, 1) and taken % sac.train_every == 0
+            self.env.meanwhile = self._learn if learns else None
             self.learner.collect(self.env, self.callback)
-            taken = done // self.config.n_envs + step + 1  # by each environment
-            if taken * self.config.n_envs >= sac.learning_starts and taken % sac.train_every == 0:
-                self.learner.train(sac.gradient_steps, sac.batch_size)
         self.learner.observe(np.concatenate(seen))
         return self.row()
+
+    def _learn(self) -> None:
+        self.learner.train(self.config.sac.gradient_steps, self.config.sac.batch_size)
 
     def networks(self) -> dict[str, tuple[SacSpec, Actor]]:
         """The actor; see ``Training``."""
