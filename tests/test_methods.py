@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from reproduce.checkpoint import has_checkpoint
 from reproduce.config import PRESETS, TrainingConfig, to_dict
 from reproduce.errors import UserError
 from reproduce.evaluation import evaluate
+from reproduce.methods.sac import SacTraining
 from reproduce.registry import METHODS, load_policy
 from reproduce.replay import film
 from reproduce.sampling import RETURN, EnvOptions, WorkerVecEnv
@@ -68,6 +70,33 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     seen, starts = np.zeros((3, SIZE), np.float32), np.ones(3, bool)
     actions = policy.act(seen, starts)
     assert actions.shape == (3, JOINTS) and np.abs(actions).max() <= 1.0
+
+
+def test_sac_learns_while_its_environments_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = _small("sac")
+    held: list[tuple[int, int]] = []
+    sent: list[int] = []
+    with closing(SacTraining(replace(config, sac=replace(config.sac, buffer_size=2048)), 3)) as sac:
+        buffer = sac.learner.replay_buffer
+        assert buffer is not None
+        learn, send = sac.learner.train, sac.venv.step_async
+
+        def noted_learn(gradient_steps: int, batch_size: int = 64) -> None:
+            held.append((buffer.pos, len(sent)))
+            learn(gradient_steps, batch_size)
+
+        def noted_send(actions: np.ndarray) -> None:
+            sent.append(1)
+            send(actions)
+
+        monkeypatch.setattr(sac.learner, "train", noted_learn)
+        monkeypatch.setattr(sac.venv, "step_async", noted_send)
+        steps = sac.steps_per_update // 4
+        for done in range(0, 1536, sac.steps_per_update):
+            sac.update(done)
+        # From 256 steps of all four on, every second time; one more step than the buffer holds is under way.
+        assert held == [(taken, taken + 1) for taken in range(64, 1536 // sac.steps_per_update * steps, 2)]
+        assert sac.learner._n_updates == len(held) and buffer.pos == len(sent)
 
 
 def test_the_ablation_changes_the_obstacle_reward_and_nothing_else() -> None:
