@@ -44,8 +44,8 @@ def results_block() -> str:
         if run.origin and run.evaluation:
             under = 100 * run.evaluation["both_arms_under"]
             lines.append(
-                f"HRL-DCS, seed {run.seed}: trained by `{run.origin['command']}` in {run.minutes:.0f} minutes on "
-                f"{run.origin['machine']['cores']} cores, environment {run.origin['environment_version']}; "
+                f"HRL-DCS, seed {run.seed}: trained by `{_without_folder(run.origin['command'])}` in "
+                f"{run.minutes:.0f} minutes on {run.origin['machine']['cores']} cores, environment {run.origin['environment_version']}; "
                 f"both arms under in {under:.1f} % of tests."
             )
             held = run.other("heldout")
@@ -58,6 +58,11 @@ def results_block() -> str:
     verdicts = ", ".join(f"{c.id} {c.verdict}" for c in compute_claims())
     lines += ["", f"Claims: {verdicts} (`results/claims.json` says why)."]
     return "\n".join(lines) + "\n"
+
+
+def _without_folder(command: str) -> str:
+    """A training's command without the folder that it once wrote to."""
+    return re.sub(r" --out \S+", "", command)
 
 
 def version_block() -> str:
