@@ -45,8 +45,8 @@ def results_block() -> str:
             under = 100 * run.evaluation["both_arms_under"]
             lines.append(
                 f"HRL-DCS, seed {run.seed}: trained by `{_without_folder(run.origin['command'])}` in "
-                f"{run.minutes:.0f} minutes on {run.origin['machine']['cores']} cores, environment {run.origin['environment_version']}; "
-                f"both arms under in {under:.1f} % of tests."
+                f"{run.minutes:.0f} minutes on {run.origin['machine']['cores']} cores, "
+                f"environment {run.origin['environment_version']}; both arms under in {under:.1f} % of tests."
             )
             held = run.other("heldout")
             if held is not None:
