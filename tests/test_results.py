@@ -13,7 +13,7 @@ import pytest
 
 from lunar_rescue.splits import SPLITS, TRAIN, split_of
 from reproduce import arithmetic
-from reproduce.claims import compute_claims, final_return, steps_to_converge
+from reproduce.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
 from reproduce.errors import UserError
 from reproduce.evaluation import mass_class
 from reproduce.pages import PAGES, rewritten
@@ -117,7 +117,7 @@ def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: flo
                 "by_posture": {f"p{i}": {"tests": tests // 20, "successes": -(-successes // 20)} for i in range(20)},
             }  # fmt: skip
             (run / "evaluation.json").write_text(json.dumps(evaluation))
-            (run / "run.json").write_text(json.dumps({"steps": 1000, "seconds": 120.0}))
+            (run / "run.json").write_text(json.dumps({"steps": ENOUGH_STEPS, "seconds": 120.0}))
     return folder
 
 
@@ -184,7 +184,15 @@ def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
     claims = {claim.id: claim for claim in compute_claims(folder)}
     assert claims["C4"].verdict == "reduced scale" and "by the rule alone verified" in claims["C4"].evidence
     assert claims["C6"].verdict == "reduced scale"
-    assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, 1000)
+    assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, ENOUGH_STEPS)
+
+
+def test_short_trainings_are_reduced_scale(tmp_path: Path) -> None:
+    folder = _results(tmp_path, {"hrl_dcs": _five(985)})
+    assert _verdicts(folder)["C5"] == "verified"
+    short = folder / "reference" / "hrl_dcs" / "seed3" / "run.json"
+    short.write_text(json.dumps({"steps": ENOUGH_STEPS - 1, "seconds": 120.0}))
+    assert _verdicts(folder)["C5"] == "reduced scale"
 
 
 def test_postures_are_judged_over_all_trainings(tmp_path: Path) -> None:
