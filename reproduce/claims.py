@@ -35,7 +35,7 @@ from scipy.stats import ttest_ind
 from reproduce.files import write_json
 from reproduce.provenance import record_origin
 from reproduce.results import RESULTS, Run, runs_of
-from reproduce.statistics import CONFIDENCE, mean_interval, paired_difference, wilson
+from reproduce.statistics import CONFIDENCE, mean_interval, paired_difference, same_scenes, wilson
 
 ENOUGH_SEEDS = 5  # one seed each says nothing of the variance between trainings
 ENOUGH_TESTS = 1000  # as in the paper; 50 cannot separate 98.6 % from 91.8 %
@@ -172,7 +172,7 @@ def _difference(first: Pool, second: Pool) -> tuple[str, float, float] | None:
         low, high = ttest_ind(first.rates, second.rates, equal_var=False).confidence_interval(CONFIDENCE)
         return "trainings'", float(low), float(high)
     ours, theirs = first.runs[0].evaluation or {}, second.runs[0].evaluation or {}
-    if not ours.get("outcomes") or any(ours.get(key) != theirs.get(key) for key in ("tests", "first_seed")):
+    if not ours.get("outcomes") or not same_scenes(ours, theirs):
         return None
     _, low, high = paired_difference(ours["outcomes"], theirs["outcomes"])
     return "paired", low, high
@@ -196,10 +196,8 @@ def returns_more(first: Pool, second: Pool, times: float = 1.0) -> Part:
 def converges_faster(first: Pool, second: Pool) -> Part:
     """Whether the first converges in fewer environment steps."""
     found = [[steps_to_converge(curve) for curve in pool.curves()] for pool in (first, second)]
-    told = (", ".join("none" if n is None else f"{n:,}" for n in steps) or "no curve" for steps in found)
-    words = "env steps to converge: {} {}, {} {}".format(
-        *(word for pair in zip((first.method, second.method), told, strict=True) for word in pair)
-    )
+    told = [", ".join("none" if n is None else f"{n:,}" for n in steps) or "no curve" for steps in found]
+    words = f"env steps to converge: {first.method} {told[0]}, {second.method} {told[1]}"
     if any(steps is None for each in found for steps in each):
         return Part(words, None)
     ours, theirs = ([float(steps) for steps in each if steps is not None] for each in found)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,11 @@ def wilson(successes: int, tests: int) -> tuple[float, float]:
 def intervals_overlap(first: tuple[float, float], second: tuple[float, float]) -> bool:
     """Whether two intervals share a point."""
     return first[0] <= second[1] and second[0] <= first[1]
+
+
+def same_scenes(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Whether two evaluations are of the same scenes, so that their tests are pairs."""
+    return all(first.get(key) == second.get(key) for key in ("first_seed", "tests"))
 
 
 def paired_difference(first: str, second: str) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from reproduce.files import read_json, write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS
 from reproduce.results import RESULTS, Run, reference_runs
-from reproduce.statistics import mean_interval, paired_difference, wilson
+from reproduce.statistics import mean_interval, paired_difference, same_scenes, wilson
 
 COLUMNS = [
     "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
@@ -104,8 +104,7 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
     chosen = next((value for (method, _), value in tested.items() if method == to), None)
     rows = []
     for (method, seed), other in tested.items():
-        same = chosen is not None and all(other[key] == chosen[key] for key in ("first_seed", "tests"))
-        if chosen is not None and method != to and same:
+        if chosen is not None and method != to and same_scenes(chosen, other):
             difference, low, high = paired_difference(chosen["outcomes"], other["outcomes"])
             rows.append((f"{to} - {method} seed {seed}", other["tests"], difference, low, high))
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
@@ -128,7 +127,7 @@ def nearest_to_rocks(
         found.append(next((t for t in told if t is not None and "nearest_mark" in t), None))
     one, other = found
     columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
-    if one is None or other is None or any(one[key] != other[key] for key in ("first_seed", "tests")):
+    if one is None or other is None or not same_scenes(one, other):
         return pd.DataFrame(columns=columns).set_index(columns[0])
     pairs = [
         (a, b)

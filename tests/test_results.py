@@ -158,6 +158,12 @@ def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
     assert found["C8"] == "inconclusive"
 
 
+def test_overlapping_intervals_are_inconclusive(tmp_path: Path) -> None:
+    found = _verdicts(_results(tmp_path, {m: _five(n) for m, n in (("hrl_dcs", 900), ("hrl_dcs_no_aapf", 898))}))
+    assert found["C4"] == "inconclusive"
+    assert found["C5"] == "contradicted"
+
+
 def test_trainings_that_differ_among_themselves_leave_it_open(tmp_path: Path) -> None:
     """5000 tests each tell 900 from 870, but not where trainings of one method differ by 100."""
     found = _verdicts(_results(tmp_path / "apart", {"hrl_dcs": _five(900), "fun": _five(870)}))
