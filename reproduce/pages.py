@@ -265,10 +265,11 @@ def _methods(b: dict[str, Any]) -> str:
             rate, minutes, ratio = (b[f"methods_{name}_{k}"] for k in ("steps_per_s", "minutes", "over_hrl_dcs"))
             taken = ", ".join(f"{run.minutes:.0f}" for run in runs_of(name)) or "no run"
             rows.append((f"`{name}`", f"{rate:,.0f}", f"{ratio:.2f}", f"{minutes:.0f}", taken))
-    steps = f"{b['methods_env_steps']:,}"
-    return markdown_table(
+    steps, sooner = f"{b['methods_env_steps']:,}", b["methods_sac_meanwhile_over_afterwards"]
+    text = markdown_table(
         ("method", "steps/s", "over HRL-DCS", f"minutes for {steps} steps at that rate", "minutes of the run"), rows
     )
+    return text + f"\nSAC that learns while the workers step, over SAC that learns after each step: {sooner:.2f}.\n"
 
 
 def ground_block() -> str:

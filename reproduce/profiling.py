@@ -19,6 +19,7 @@ import torch as th
 
 from reproduce.config import PRESETS, TrainingConfig
 from reproduce.methods.hrl_dcs import HierarchicalTraining
+from reproduce.methods.sac import SacTraining
 from reproduce.registry import METHODS, Training
 from reproduce.training import THREADS
 
@@ -150,9 +151,9 @@ def rates_of_methods(
     return rates
 
 
-def _rate(training: Training, updates: int) -> float:
-    """Steps a second of some updates, once the learner learns."""
-    size, done = training.steps_per_update, 0
+def _rate(training: Training, updates: int, done: int = 0) -> float:
+    """Steps a second of some updates, once the learner learns; ``done`` steps were taken before."""
+    size = training.steps_per_update
     first = max(FIRST_UPDATES * size, training.config.sac.learning_starts)
     while done < first:
         training.update(done)
@@ -164,12 +165,35 @@ def _rate(training: Training, updates: int) -> float:
     return updates * size / (time.perf_counter() - begun)
 
 
+def learning_meanwhile(rounds: int, updates: int, config: TrainingConfig | None = None) -> float:
+    """SAC's steps a second when it learns while the workers step, over those when it learns afterwards.
+
+    Args:
+        rounds: Of one and then the other, with one training; the median of their ratios is returned.
+        updates: Of each in a round.
+        config: Of the training; the laptop preset's by default.
+    """
+    config, ratios = config or METHODS["sac"].config("laptop"), []
+    with closing(SacTraining(config, 0)) as training:
+        _rate(training, 0)
+        for _ in range(rounds):
+            found = {}
+            for meanwhile in (True, False):
+                training.env.learns_meanwhile = meanwhile
+                found[meanwhile] = _rate(training, updates, config.sac.learning_starts)
+            ratios.append(found[True] / found[False])
+    return median(ratios)
+
+
 def measure_methods(rounds: int, steps: int) -> dict[str, Any]:
     """What ``bench --part methods`` measures: rates, and how many minutes the laptop preset's steps would take so."""
     th.set_num_threads(THREADS)
     rates = rates_of_methods(METHOD_ROUNDS, METHOD_UPDATES)
     wanted = PRESETS["laptop"].steps
-    found: dict[str, Any] = {"methods_env_steps": wanted}
+    found: dict[str, Any] = {
+        "methods_env_steps": wanted,
+        "methods_sac_meanwhile_over_afterwards": round(learning_meanwhile(METHOD_ROUNDS, METHOD_UPDATES), 3),
+    }
     for name, each in rates.items():
         ratios = [rate / ours for rate, ours in zip(each, rates["hrl_dcs"], strict=True)]
         found |= {

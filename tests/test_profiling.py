@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from reproduce.config import PRESETS
-from reproduce.profiling import SHARES, Clock, rates_of_methods, where_a_second_goes
+from reproduce.profiling import SHARES, Clock, learning_meanwhile, rates_of_methods, where_a_second_goes
 
 
 class _Work:
@@ -40,6 +40,12 @@ def test_shares_of_a_training_add_up_to_one() -> None:
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-3)
     assert all(shares[name] > 0 for name in SHARES)
     assert shares["other"] < 0.2 and found["steps_per_s"] > 0
+
+
+def test_sac_is_timed_learning_meanwhile_and_afterwards() -> None:
+    smoke = PRESETS["smoke"]
+    small = replace(smoke, n_envs=4, sac=replace(smoke.sac, n_steps=32, learning_starts=300))
+    assert 0.1 < learning_meanwhile(1, 1, small) < 10.0
 
 
 def test_methods_are_timed_in_turn_and_once_they_learn() -> None:
