@@ -16,6 +16,7 @@ from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
 from lunar_rescue.episode import Episode
 from lunar_rescue.overlay import draw_overlay
+from lunar_rescue.postures import all_postures
 from lunar_rescue.rendering import GALLERY_TURN, TURN, Studio, scene_camera
 from lunar_rescue.rocks import rock_marks
 from lunar_rescue.scene import body_surface
@@ -199,11 +200,18 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
 
 
 def success_by_posture(evaluations: dict[str, dict[str, dict[str, int]]]) -> Figure:
-    """Heat map of success over postures (rows) and methods (columns)."""
+    """Heat map of success over postures and tasks (rows) and methods (columns).
+
+    Args:
+        evaluations: By column, what an evaluation has as ``by_posture_and_task``.
+    """
     rates = pd.DataFrame(
         {m: {p: c["successes"] / c["tests"] for p, c in counts.items()} for m, counts in evaluations.items()}
-    ).reindex(list(postures()))
-    figure, axis = plt.subplots(figsize=(2.5 + 1.6 * rates.shape[1], 7), layout="constrained")
+    )
+    known = [f"{name} {task}" for name, posture in all_postures().items() for task in posture.tasks]
+    rates = rates.reindex([key for key in known if key in rates.index])
+    rates.index = rates.index.str.replace("_", " ")
+    figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(
         100 * rates,
         annot=True,

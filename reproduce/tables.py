@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from lunar_rescue.postures import all_postures
 from reproduce.files import read_json, write_atomically
 from reproduce.provenance import record_origin
 from reproduce.registry import METHODS
@@ -162,6 +163,30 @@ def by_condition(evaluation: dict[str, Any]) -> pd.DataFrame:
             rate = counts["successes"] / counts["tests"]
             rows.append((title, name, counts["tests"], rate, low, high))
     return pd.DataFrame(rows, columns=["of", "which", "tests", "success", "low", "high"]).set_index(["of", "which"])
+
+
+def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFrame:
+    """Success of every run by task and how the body lies, in words: share and number of tests.
+
+    Args:
+        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+        results: Folder of results.
+    """
+    known, columns = all_postures(), {}
+    for run in reference_runs(results):
+        counts: dict[str, list[int]] = {}
+        for key, group in ((run.other(name) or {}).get("by_posture_and_task") or {}).items():
+            posture, task = key.split(" ")
+            lies = known[posture].attitude.removeprefix("left_").removeprefix("right_")
+            mine = counts.setdefault(f"{task} {lies}".replace("_", " "), [0, 0])
+            mine[0] += group["successes"]
+            mine[1] += group["tests"]
+        if counts:
+            columns[f"{run.method} seed {run.seed}"] = {
+                group: f"{_percent(successes / tests)} of {tests}"
+                for group, (successes, tests) in sorted(counts.items())
+            }
+    return pd.DataFrame(columns).T
 
 
 def layers(run: Run) -> pd.DataFrame:

@@ -22,7 +22,7 @@ from reproduce.results import ROOT, reference_runs
 from reproduce.settings import settings_table
 from reproduce.splits import train_seed
 from reproduce.statistics import count_by, mean_interval, paired_difference, summarise, wilson
-from reproduce.tables import nearest_to_rocks, paired_differences, readable_table1, table1
+from reproduce.tables import by_attitude, nearest_to_rocks, paired_differences, readable_table1, table1
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -74,6 +74,21 @@ def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None
         (run / "evaluation.json").write_text(json.dumps(told))
     table = paired_differences(tmp_path)
     assert list(table.index) == ["hrl_dcs - fun seed 0"] and table["difference"].iloc[0] == 0.25
+
+
+def test_attitudes_are_sums_over_their_postures(tmp_path: Path) -> None:
+    told = {
+        "left_side_stride turn_over": {"tests": 4, "successes": 4},
+        "right_side_curled turn_over": {"tests": 6, "successes": 1},
+        "prone_crawl turn_over": {"tests": 5, "successes": 3},
+        "prone_crawl lift": {"tests": 5, "successes": 0},
+    }
+    run = tmp_path / "reference" / "sac" / "seed0"
+    run.mkdir(parents=True)
+    (run / "evaluation.json").write_text(json.dumps({"by_posture_and_task": told}))
+    row = by_attitude(results=tmp_path).loc["sac seed 0"].to_dict()
+    assert row == {"lift prone": "0.0 % of 5", "turn over prone": "60.0 % of 5", "turn over side": "50.0 % of 10"}
+    assert by_attitude("heldout", tmp_path).empty
 
 
 def test_how_near_rocks_were_is_compared_where_there_are_rocks(tmp_path: Path) -> None:
