@@ -26,7 +26,7 @@ from reproduce.files import write_text
 from reproduce.profiling import SHARES
 from reproduce.registry import METHODS
 from reproduce.results import RESULTS, ROOT, runs_of
-from reproduce.tables import markdown_table, readable_table1
+from reproduce.tables import markdown_table, readable_differences, readable_table1
 from reproduce.workflow.items import items, timings
 from reproduce.workflow.plan import Plan
 
@@ -55,6 +55,10 @@ def results_block() -> str:
                     f"On {held['tests']} held-out scenes (postures, masses, rock fields and reliefs that no training "
                     f"scene has): {100 * held['success_rate']:.1f} % [{low:.1f} %, {high:.1f} %]."
                 )
+    paired = readable_differences()
+    if len(paired):
+        lines += ["", "Paired differences in points, on the same scenes, with 95 % intervals:", ""]
+        lines.append(markdown_table(list(paired.columns), paired.to_numpy().tolist()))
     verdicts = ", ".join(f"{c.id} {c.verdict}" for c in compute_claims())
     lines += ["", f"Claims: {verdicts} (`results/claims.json` says why)."]
     return "\n".join(lines) + "\n"

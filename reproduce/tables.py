@@ -111,6 +111,26 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
 
 
+def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.DataFrame:
+    """Paired differences for people, in points, on test scenes and on held-out ones."""
+    both = {
+        title: paired_differences(results, to, name)
+        for title, name in (("test", "evaluation"), ("held out", "heldout"))
+    }
+    titles = {f"{to} - {run.method} seed {run.seed}": f"{METHODS[run.method].title}, seed {run.seed}"
+              for run in reference_runs(results) if run.method in METHODS}  # fmt: skip
+    rows = []
+    for key, title in titles.items():
+        told = {
+            name: "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * table.loc[key, ["difference", "low", "high"]]))
+            for name, table in both.items()
+            if key in table.index
+        }
+        if told:
+            rows.append({f"{METHODS[to].title} minus": title, **{name: told.get(name, "-") for name in both}})
+    return pd.DataFrame(rows)
+
+
 def nearest_to_rocks(
     results: Path = RESULTS, first: str = "hrl_dcs", second: str = "hrl_dcs_no_aapf", name: str = "evaluation"
 ) -> pd.DataFrame:

@@ -22,7 +22,7 @@ from reproduce.results import ROOT, reference_runs
 from reproduce.settings import settings_table
 from reproduce.splits import train_seed
 from reproduce.statistics import count_by, mean_interval, paired_difference, summarise, wilson
-from reproduce.tables import by_attitude, nearest_to_rocks, paired_differences, readable_table1, table1
+from reproduce.tables import by_attitude, nearest_to_rocks, paired_differences, readable_differences, readable_table1, table1
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -74,6 +74,9 @@ def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None
         (run / "evaluation.json").write_text(json.dumps(told))
     table = paired_differences(tmp_path)
     assert list(table.index) == ["hrl_dcs - fun seed 0"] and table["difference"].iloc[0] == 0.25
+    (row,) = readable_differences(tmp_path).to_dict("records")
+    assert row["HRL-DCS minus"] == "FeUdal Networks, seed 0" and row["test"].startswith("+25.0 [")
+    assert row["held out"] == "-"
 
 
 def test_attitudes_are_sums_over_their_postures(tmp_path: Path) -> None:
