@@ -22,7 +22,14 @@ from reproduce.results import ROOT, reference_runs
 from reproduce.settings import settings_table
 from reproduce.splits import train_seed
 from reproduce.statistics import count_by, mean_interval, paired_difference, summarise, wilson
-from reproduce.tables import by_attitude, nearest_to_rocks, paired_differences, readable_differences, readable_table1, table1
+from reproduce.tables import (
+    by_attitude,
+    nearest_to_rocks,
+    paired_differences,
+    readable_differences,
+    readable_table1,
+    table1,
+)
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
