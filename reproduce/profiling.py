@@ -14,12 +14,15 @@ from contextlib import closing
 from dataclasses import replace
 from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 import torch as th
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from reproduce.config import PRESETS, TrainingConfig
 from reproduce.methods.hrl_dcs import HierarchicalTraining
-from reproduce.methods.sac import SacTraining
+from reproduce.methods.ppo_lstm import EpisodeLog
+from reproduce.methods.sac import BusyEpisodeLog, SacTraining
 from reproduce.registry import METHODS, Training
 from reproduce.training import THREADS
 
@@ -177,12 +180,18 @@ def learning_meanwhile(rounds: int, updates: int, config: TrainingConfig | None 
     with closing(SacTraining(config, 0)) as training:
         _rate(training, 0)
         for _ in range(rounds):
-            found = {}
-            for meanwhile in (True, False):
-                training.env.learns_meanwhile = meanwhile
-                found[meanwhile] = _rate(training, updates, config.sac.learning_starts)
-            ratios.append(found[True] / found[False])
+            meanwhile = _rate(training, updates, config.sac.learning_starts)
+            with patch.object(BusyEpisodeLog, "step_wait", _wait_and_learn):
+                ratios.append(meanwhile / _rate(training, updates, config.sac.learning_starts))
     return median(ratios)
+
+
+def _wait_and_learn(env: BusyEpisodeLog) -> VecEnvStepReturn:
+    """Let the workers step, with the learner waiting for them."""
+    stepped = EpisodeLog.step_wait(env)
+    if env.meanwhile is not None:
+        env.meanwhile()
+    return stepped
 
 
 def measure_methods(rounds: int, steps: int) -> dict[str, Any]:

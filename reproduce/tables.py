@@ -100,35 +100,35 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
         to: Method that is compared with the others, its first seed.
         name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    found = {(run.method, run.seed): run.other(name) for run in reference_runs(results)}
-    tested = {key: value for key, value in found.items() if value is not None and value.get("outcomes")}
-    chosen = next((value for (method, _), value in tested.items() if method == to), None)
-    rows = []
-    for (method, seed), other in tested.items():
-        if chosen is not None and method != to and same_scenes(chosen, other):
-            difference, low, high = paired_difference(chosen["outcomes"], other["outcomes"])
-            rows.append((f"{to} - {method} seed {seed}", other["tests"], difference, low, high))
+    rows = [(f"{to} - {run.method} seed {run.seed}", tests, *told) for run, tests, told in _paired(results, to, name)]
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
+
+
+def _paired(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
+    """Runs of other methods that met the same scenes, how many, and the difference with its interval."""
+    found = [(run, run.other(name)) for run in reference_runs(results)]
+    tested = [(run, value) for run, value in found if value is not None and value.get("outcomes")]
+    chosen = next((value for run, value in tested if run.method == to), None)
+    return [
+        (run, other["tests"], paired_difference(chosen["outcomes"], other["outcomes"]))
+        for run, other in tested
+        if chosen is not None and run.method != to and same_scenes(chosen, other)
+    ]
 
 
 def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.DataFrame:
     """Paired differences for people, in points, on test scenes and on held-out ones."""
-    both = {
-        title: paired_differences(results, to, name)
+    columns = {
+        title: {
+            f"{METHODS[run.method].title}, seed {run.seed}": "{:+.1f} [{:+.1f}, {:+.1f}]".format(
+                *(100 * value for value in told)
+            )
+            for run, _, told in _paired(results, to, name)
+        }
         for title, name in (("test", "evaluation"), ("held out", "heldout"))
     }
-    titles = {f"{to} - {run.method} seed {run.seed}": f"{METHODS[run.method].title}, seed {run.seed}"
-              for run in reference_runs(results) if run.method in METHODS}  # fmt: skip
-    rows = []
-    for key, title in titles.items():
-        told = {
-            name: "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * table.loc[key, ["difference", "low", "high"]]))
-            for name, table in both.items()
-            if key in table.index
-        }
-        if told:
-            rows.append({f"{METHODS[to].title} minus": title, **{name: told.get(name, "-") for name in both}})
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(columns, dtype=object).fillna("-")
+    return table.rename_axis(f"{METHODS[to].title} minus").reset_index()
 
 
 def nearest_to_rocks(

@@ -158,21 +158,12 @@ class BusyEpisodeLog(EpisodeLog):
         super().__init__(venv)
         #: What the parent does in the steps to come until it waits for the workers.
         self.meanwhile: Callable[[], None] | None = None
-        #: False: it learns once they have stepped, with nobody working meanwhile; for ``bench`` alone.
-        self.learns_meanwhile = True
 
     def step_wait(self) -> VecEnvStepReturn:
         """Learn, then wait."""
-        if self.learns_meanwhile:
-            self._learn()
-        stepped = super().step_wait()
-        if not self.learns_meanwhile:
-            self._learn()
-        return stepped
-
-    def _learn(self) -> None:
         if self.meanwhile is not None:
             self.meanwhile()
+        return super().step_wait()
 
 
 class SacTraining(CollectedTraining):
