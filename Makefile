@@ -56,7 +56,7 @@ timings: $(STAMP)  ## time the smoke batch, one step after the other, for the RE
 	rm -rf results/scratch/timings
 	$(BIN)/reproduce batch --preset smoke --slots 1 --out results/scratch/timings
 	cp results/scratch/timings/timings.csv results/timings.csv
-	$(BIN)/python -m reproduce.pages
+	$(BIN)/python -m reproduce.report.pages
 
 notebooks: $(STAMP)  ## run the notebooks with the laptop preset
 	$(BIN)/reproduce notebooks --preset laptop
@@ -75,7 +75,7 @@ evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each
 			$(BIN)/reproduce evaluate $$run --tests 200 --ablation $$layer --json $$run/$$layer.json || exit 1; done; done
 	$(BIN)/reproduce table1
 	$(BIN)/reproduce claims
-	$(BIN)/python -m reproduce.pages
+	$(BIN)/python -m reproduce.report.pages
 
 bench: $(STAMP)  ## measure speed
 	$(BIN)/reproduce bench

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from reproduce.config import PRESETS, HierarchyConfig, LearnerConfig, TrainingConfig
-from reproduce.fun.config import FunConfig
-from reproduce.fun.training import make_fun_learner
-from reproduce.hrl.goals import PlainGoals
-from reproduce.methods.hrl_dcs import TwoLayerTraining
-from reproduce.methods.stepping import start_collecting
+from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.training import make_fun_learner
+from reproduce.hrl_dcs.goals import PlainGoals
+from reproduce.hrl_dcs.training import TwoLayerTraining
+from reproduce.learning.config import PRESETS, HierarchyConfig, LearnerConfig, TrainingConfig
+from reproduce.learning.training import start_collecting
 
 ENVS = 8
 REWARD_UNIT = 100.0  # Pendulum's reward is up to 16 a step

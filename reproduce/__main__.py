@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from reproduce.errors import RunFailedError, UserError
+from reproduce.storage.errors import RunFailedError, UserError
 
 # Typer may bring a Click of its own, so the base of its errors is looked up and not imported.
 CommandLineError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -47,9 +47,9 @@ def train(
     ] = False,
 ) -> None:
     """Train a method and write a run folder."""
-    from reproduce.registry import get_method
-    from reproduce.training import train as run
-    from reproduce.training import train_as_needed
+    from reproduce.experiments.methods import get_method
+    from reproduce.experiments.train import train as run
+    from reproduce.experiments.train import train_as_needed
 
     chosen = get_method(method)
     config = chosen.config(preset)
@@ -84,8 +84,8 @@ def evaluate(
     json: JsonFile = None,
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
-    from reproduce.evaluation import evaluate as test
-    from reproduce.files import write_json
+    from reproduce.experiments.evaluate import evaluate as test
+    from reproduce.storage.files import write_json
 
     result = test(run, tests, first_seed, ablation=ablation, easy=easy)
     if json:
@@ -122,8 +122,8 @@ def replay(
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
-    from reproduce.replay import parse_size
-    from reproduce.replay import replay as show
+    from reproduce.report.film import parse_size
+    from reproduce.report.film import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
     ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
@@ -137,7 +137,7 @@ def export(
     seed: Annotated[int | None, typer.Option(help="training seed; the first one without it")] = None,
 ) -> None:
     """Write a reference policy with its model card to a folder that can be uploaded to a model hub."""
-    from reproduce.cards import export as write
+    from reproduce.report.cards import export as write
 
     typer.echo(f"{write(method, out, seed)}: written; `reproduce evaluate {out}` takes it")
 
@@ -151,7 +151,7 @@ def watch(
     task: Annotated[str | None, typer.Option(help="draw scenes with this task")] = None,
 ) -> None:
     """Watch rescues in PyBullet's window, in real time; needs a display."""
-    from reproduce.watch import watch as show
+    from reproduce.report.watch import watch as show
 
     show(run, seed, rescues, posture=posture, task=task, tell=typer.echo)
 
@@ -168,7 +168,7 @@ def notebooks(
     replays: Annotated[bool, typer.Option(help="with 3D replays in it")] = True,
 ) -> None:
     """Run the notebooks with papermill, in order, and build the report."""
-    from reproduce.notebooks import run_notebooks
+    from reproduce.report.notebooks import run_notebooks
 
     run_notebooks(preset, only=only, assignments=parameter or [])
     if report:
@@ -182,8 +182,8 @@ def build(replays: Annotated[bool, typer.Option(help="with 3D replays in it")] =
 
 
 def _build_report(replays: bool) -> None:
+    from reproduce.analysis.runs import RESULTS
     from reproduce.report import build_report
-    from reproduce.results import RESULTS
 
     typer.echo(f"{build_report(RESULTS / 'notebooks', RESULTS, replays)}: report written")
 
@@ -203,10 +203,10 @@ def batch(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what is left")] = False,
 ) -> None:
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
-    from reproduce.registry import METHODS
-    from reproduce.results import RESULTS
-    from reproduce.workflow.batch import default_slots, run_batch
-    from reproduce.workflow.plan import Plan, cores, parse_seeds
+    from reproduce.analysis.runs import RESULTS
+    from reproduce.experiments.methods import METHODS
+    from reproduce.experiments.workflow.batch import default_slots, run_batch
+    from reproduce.experiments.workflow.plan import Plan, cores, parse_seeds
 
     slots = default_slots() if slots is None else slots
     threads = max(1, cores() // max(1, slots)) if threads is None else threads
@@ -224,7 +224,7 @@ def batch(
 @app.command()
 def claims(json: JsonFile = None) -> None:
     """Compute the claims' verdicts, and Table 1, from results/."""
-    from reproduce.claims import compute_claims, print_claims, write_claims
+    from reproduce.analysis.claims import compute_claims, print_claims, write_claims
 
     table = compute_claims()
     write_claims(table, json)
@@ -234,7 +234,7 @@ def claims(json: JsonFile = None) -> None:
 @app.command()
 def table1() -> None:
     """Write results/table1.csv from the reference runs."""
-    from reproduce.tables import write_table1
+    from reproduce.analysis.tables import write_table1
 
     typer.echo(f"{write_table1()}: written")
 
@@ -242,7 +242,7 @@ def table1() -> None:
 @app.command()
 def tables() -> None:
     """Write results/tables/: successes by method, posture, task and failure, which hold no times."""
-    from reproduce.tables import write_tables
+    from reproduce.analysis.tables import write_tables
 
     for path in write_tables():
         typer.echo(f"{path}: written")
@@ -254,8 +254,8 @@ def bench(
     json: JsonFile = None,
 ) -> None:
     """Measure speed, each figure against a peer in the same run."""
-    from reproduce.bench import measure
-    from reproduce.files import write_json
+    from reproduce.bench.speed import measure
+    from reproduce.storage.files import write_json
 
     result = measure(part)
     if json:
@@ -273,7 +273,7 @@ def soak(
     ] = None,
 ) -> None:
     """Step all scenes with random actions: nothing may raise, every number is finite, memory does not grow."""
-    from reproduce.soak import run_soak
+    from reproduce.experiments.soak import run_soak
 
     result = run_soak(steps, json)
     terrains, tasks = (" and ".join(result[key]) for key in ("terrains", "tasks"))
@@ -291,7 +291,7 @@ def solvable(
     json: JsonFile = None,
 ) -> None:
     """Measure which scenes can be solved at all, by a planner that knows everything; writes results/solvability/."""
-    from reproduce.solvability import measure_solvability, print_solvability
+    from reproduce.experiments.solvability import measure_solvability, print_solvability
 
     print_solvability(measure_solvability(tests, first_seed, variants=variants, json=json), typer.echo)
 
@@ -303,7 +303,7 @@ def tune(
     tests: Annotated[int, typer.Option(help="easy validation scenes after each")] = 100,
 ) -> None:
     """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
-    from reproduce.tuning import tune as run
+    from reproduce.experiments.tuning import tune as run
 
     run(method, steps, tests, tell=typer.echo)
 
@@ -311,7 +311,7 @@ def tune(
 @app.command()
 def methods() -> None:
     """List the methods of the registry."""
-    from reproduce.registry import METHODS
+    from reproduce.experiments.methods import METHODS
 
     for method in METHODS.values():
         typer.echo(f"{method.name}: {method.about}")

@@ -6,10 +6,10 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from reproduce.checkpoint import has_checkpoint
-from reproduce.config import PRESETS
-from reproduce.registry import METHODS
-from reproduce.training import train
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.train import train
+from reproduce.learning.config import PRESETS
+from reproduce.storage.checkpoint import has_checkpoint
 
 
 def main(folder: Path) -> None:

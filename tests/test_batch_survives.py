@@ -15,9 +15,9 @@ import pandas as pd
 import pytest
 from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
-from reproduce.errors import RunFailedError, UserError
-from reproduce.workflow.batch import run_batch
-from reproduce.workflow.plan import Plan
+from reproduce.experiments.workflow.batch import run_batch
+from reproduce.experiments.workflow.plan import Plan
+from reproduce.storage.errors import RunFailedError, UserError
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 KILLS = 30

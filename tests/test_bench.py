@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from reproduce import bench
-from reproduce.bench import PEER, Tally, environment_figures, measure
-from reproduce.errors import UserError
+from reproduce.bench import speed as bench
+from reproduce.bench.speed import PEER, Tally, environment_figures, measure
+from reproduce.storage.errors import UserError
 
 
 def tally(rate: float, inside: float = 0.5) -> Tally:

@@ -17,13 +17,13 @@ import pytest
 import torch as th
 from safetensors.torch import load_file, save_file
 
-from reproduce.config import PRESETS, from_dict, to_dict
-from reproduce.errors import RunFailedError, UserError
-from reproduce.evaluation import evaluate, rescue_scenes
-from reproduce.notebooks import check_parameters, find_notebooks, is_complete, parse_assignments, run_notebooks
-from reproduce.registry import METHODS, load_policy
+from reproduce.experiments.evaluate import evaluate, rescue_scenes
+from reproduce.experiments.methods import METHODS, load_policy
+from reproduce.experiments.train import train
+from reproduce.learning.config import PRESETS, from_dict, to_dict
 from reproduce.report import build_report
-from reproduce.training import train
+from reproduce.report.notebooks import check_parameters, find_notebooks, is_complete, parse_assignments, run_notebooks
+from reproduce.storage.errors import RunFailedError, UserError
 
 STEPS = 1024
 

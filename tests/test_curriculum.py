@@ -10,12 +10,12 @@ import pytest
 from gymnasium import spaces
 
 from lunar_rescue.observation import SLICES
-from lunar_rescue.postures import postures
-from lunar_rescue.scene import MASS_RANGE
-from reproduce.config import PRESETS
-from reproduce.hrl.goals import PlainGoals
-from reproduce.methods.stepping import episode_summary, make_environments
-from reproduce.sampling import EASY_POSTURE, EnvOptions, _options, easy_scene
+from lunar_rescue.scenes.postures import postures
+from lunar_rescue.scenes.scene import MASS_RANGE
+from reproduce.hrl_dcs.goals import PlainGoals
+from reproduce.learning.config import PRESETS
+from reproduce.learning.training import episode_summary, make_environments
+from reproduce.learning.workers import EASY_POSTURE, EnvOptions, _options, easy_scene
 
 
 def test_easy_scenes_have_one_posture_no_rocks_and_the_lightest_astronaut() -> None:

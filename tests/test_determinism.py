@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lunar_rescue import LunarRescueEnv, Scene, sample_scene, simulation
-from lunar_rescue.robot import JOINTS
-from lunar_rescue.splits import HELDOUT, TEST, TRAIN
-from reproduce.methods.scripted import ScriptedPolicy
-from reproduce.sampling import WorkerVecEnv
-from reproduce.splits import train_seed
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.physics import simulation
+from lunar_rescue.physics.robot import JOINTS
+from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN
+from reproduce.baselines.scripted import ScriptedPolicy
+from reproduce.learning.splits import train_seed
+from reproduce.learning.workers import WorkerVecEnv
 
 SCENES = [*range(TEST.start, TEST.start + 8), HELDOUT.start, HELDOUT.start + 1]
 

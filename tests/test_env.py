@@ -14,9 +14,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
 from lunar_rescue.observation import ENTRIES, SIZE, SLICES
-from lunar_rescue.rocks import MAX_ROCKS
-from lunar_rescue.scene import task_distribution
-from lunar_rescue.splits import TRAIN
+from lunar_rescue.scenes.rocks import MAX_ROCKS
+from lunar_rescue.scenes.scene import task_distribution
+from lunar_rescue.scenes.splits import TRAIN
 
 Step = tuple[NDArray[np.float32], float]
 

@@ -7,7 +7,7 @@ import runpy
 import numpy as np
 import pytest
 
-from reproduce.results import ROOT
+from reproduce.analysis.runs import ROOT
 
 
 @pytest.mark.parametrize("method", ["two_layers", "feudal"])

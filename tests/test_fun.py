@@ -25,22 +25,22 @@ from torch import nn
 from torch.nn import functional
 
 from lunar_rescue.observation import SIZE
-from lunar_rescue.robot import JOINTS
-from reproduce.checkpoint import Progress, load_checkpoint, save_checkpoint
-from reproduce.config import PRESETS
-from reproduce.errors import UserError
-from reproduce.fun.config import FunConfig
-from reproduce.fun.learner import FunPPO
-from reproduce.fun.levels import DilatedLSTM
-from reproduce.fun.network import FunNetwork, FunSpec
-from reproduce.fun.policy import LEVEL, FunPolicy, load_network
-from reproduce.fun.rollout import FunBuffer, FunRollout
-from reproduce.fun.signals import advantages_and_returns, directions
-from reproduce.fun.training import FunTraining
-from reproduce.learners.sequence_ppo import SequencePPO
-from reproduce.learners.sequences import Minibatch, minibatches
-from reproduce.methods.stepping import start_collecting
-from reproduce.run_folder import save_policy
+from lunar_rescue.physics.robot import JOINTS
+from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.learner import FunPPO
+from reproduce.baselines.feudal.levels import DilatedLSTM
+from reproduce.baselines.feudal.network import FunNetwork, FunSpec
+from reproduce.baselines.feudal.policy import LEVEL, FunPolicy, load_network
+from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout
+from reproduce.baselines.feudal.signals import advantages_and_returns, directions
+from reproduce.baselines.feudal.training import FunTraining
+from reproduce.learning.config import PRESETS
+from reproduce.learning.sequence_ppo import SequencePPO
+from reproduce.learning.sequences import Minibatch, minibatches
+from reproduce.learning.training import start_collecting
+from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
+from reproduce.storage.errors import UserError
+from reproduce.storage.policies import save_policy
 
 C, D, ENVS, STEPS = 4, 8, 3, 26
 SMALL = FunConfig(horizon=C, goal_size=D, embedding_size=3, random_goals=0.2, intrinsic_weight=0.3)

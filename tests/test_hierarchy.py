@@ -15,16 +15,14 @@ import torch as th
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import SIZE, SLICES
-from lunar_rescue.robot import JOINTS
-from reproduce.actions import LARGEST_CHANGE, to_environment
-from reproduce.config import PRESETS
-from reproduce.errors import UserError
-from reproduce.evaluation import rescue_scenes
-from reproduce.hrl.ablation import ABLATIONS, ablated
-from reproduce.hrl.joint_way import joint_way, leans
-from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.hrl.policy import HierarchicalPolicy
-from reproduce.hrl.subgoals import (
+from lunar_rescue.physics.robot import JOINTS
+from reproduce.experiments.evaluate import rescue_scenes
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.train import train
+from reproduce.hrl_dcs.ablation import ABLATIONS, ablated
+from reproduce.hrl_dcs.joint_step import joint_way, leans
+from reproduce.hrl_dcs.policy import HierarchicalPolicy
+from reproduce.hrl_dcs.subgoals import (
     APART,
     BETWEEN,
     FURTHER,
@@ -51,11 +49,13 @@ from reproduce.hrl.subgoals import (
     slipped,
     targets,
 )
-from reproduce.methods.hrl_dcs import HierarchicalTraining
-from reproduce.registry import METHODS
-from reproduce.run_folder import NetworkSpec
-from reproduce.sampling import TERMS, WorkerError, WorkerVecEnv
-from reproduce.training import train
+from reproduce.hrl_dcs.training import HierarchicalTraining
+from reproduce.learning.actions import LARGEST_CHANGE, to_environment
+from reproduce.learning.config import PRESETS
+from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.workers import TERMS, WorkerError, WorkerVecEnv
+from reproduce.storage.errors import UserError
+from reproduce.storage.policies import NetworkSpec
 
 
 @pytest.fixture(scope="module")

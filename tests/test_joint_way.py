@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lunar_rescue.kinematics import arm_pose
 from lunar_rescue.observation import SIZE, SLICES
-from lunar_rescue.robot import ARM_WINDOW, ARMS, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
-from reproduce.actions import LARGEST_CHANGE, LOWER, UPPER
-from reproduce.hrl.joint_way import FURTHEST, LEVEL, changes_with_joints, joint_way, leans
-from reproduce.hrl.subgoals import RISE, SUBGOAL_SIZE, achieved
-from reproduce.mirror import mirror_actions, mirror_observations
+from lunar_rescue.physics.kinematics import arm_pose
+from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
+from reproduce.hrl_dcs.joint_step import FURTHEST, LEVEL, changes_with_joints, joint_way, leans
+from reproduce.hrl_dcs.subgoals import RISE, SUBGOAL_SIZE, achieved
+from reproduce.learning.actions import LARGEST_CHANGE, LOWER, UPPER
+from reproduce.learning.mirror import mirror_actions, mirror_observations
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
-from reproduce.checkpoint import NAME
+from reproduce.storage.checkpoint import NAME
 
 SCRIPT = Path(__file__).parent / "small_training.py"
 KILLS = 20

@@ -12,10 +12,10 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from reproduce.hrl.networks import RecurrentNetwork
-from reproduce.learners.sequence_ppo import SequencePPO
-from reproduce.learners.sequences import Rollout, advantages_and_returns, minibatches, sequence_bounds
-from reproduce.learners.standardiser import Standardiser
+from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.sequence_ppo import SequencePPO
+from reproduce.learning.sequences import Rollout, advantages_and_returns, minibatches, sequence_bounds
+from reproduce.learning.standardiser import Standardiser
 
 
 class Recall(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

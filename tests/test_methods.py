@@ -12,17 +12,17 @@ import torch as th
 from safetensors.torch import load_file
 
 from lunar_rescue.observation import SIZE
-from lunar_rescue.robot import JOINTS
-from reproduce import training
-from reproduce.checkpoint import has_checkpoint
-from reproduce.config import PRESETS, TrainingConfig, to_dict
-from reproduce.errors import UserError
-from reproduce.evaluation import evaluate
-from reproduce.methods.sac import SacTraining
-from reproduce.registry import METHODS, load_policy
-from reproduce.replay import film
-from reproduce.sampling import RETURN, EnvOptions, WorkerVecEnv
-from reproduce.training import train
+from lunar_rescue.physics.robot import JOINTS
+from reproduce.baselines.sac import SacTraining
+from reproduce.experiments import train as training
+from reproduce.experiments.evaluate import evaluate
+from reproduce.experiments.methods import METHODS, load_policy
+from reproduce.experiments.train import train
+from reproduce.learning.config import PRESETS, TrainingConfig, to_dict
+from reproduce.learning.workers import RETURN, EnvOptions, WorkerVecEnv
+from reproduce.report.film import film
+from reproduce.storage.checkpoint import has_checkpoint
+from reproduce.storage.errors import UserError
 
 LEARNING = [name for name, method in METHODS.items() if method.train is not None]
 

@@ -9,9 +9,9 @@ import pytest
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.observation import SIZE, SLICES
-from lunar_rescue.robot import JOINTS
-from lunar_rescue.terrain import SMOOTH
-from reproduce.mirror import Mirror, mirror_actions, mirror_observations, mirror_points
+from lunar_rescue.physics.robot import JOINTS
+from lunar_rescue.scenes.terrain import SMOOTH
+from reproduce.learning.mirror import Mirror, mirror_actions, mirror_observations, mirror_points
 
 PAIRS = (
     ("supine_straight", "supine_straight"),

@@ -12,15 +12,15 @@ import pytest
 
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
-from lunar_rescue.kinematics import arm_pose
-from lunar_rescue.postures import all_postures
-from lunar_rescue.robot import ARMS, CONTROL_STEP, WAIST
-from lunar_rescue.scene import FRICTION_RANGE, MASS_RANGE
-from lunar_rescue.simulation import LUNAR_GRAVITY, SUBSTEP, RigidBody, Simulation
-from lunar_rescue.suit import surface_points
-from lunar_rescue.targets import approach_sides
-from lunar_rescue.terrain import HELDOUT_RELIEFS, MAX_SLOPE, RELIEFS, SMOOTH, Terrain
-from reproduce.methods.scripted import ScriptedPolicy
+from lunar_rescue.physics.kinematics import arm_pose
+from lunar_rescue.physics.robot import ARMS, CONTROL_STEP, WAIST
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY, SUBSTEP, RigidBody, Simulation
+from lunar_rescue.scenes.postures import all_postures
+from lunar_rescue.scenes.scene import FRICTION_RANGE, MASS_RANGE
+from lunar_rescue.scenes.suit import surface_points
+from lunar_rescue.scenes.targets import approach_sides
+from lunar_rescue.scenes.terrain import HELDOUT_RELIEFS, MAX_SLOPE, RELIEFS, SMOOTH, Terrain
+from reproduce.baselines.scripted import ScriptedPolicy
 
 PACKAGE = Path(lunar_rescue.__file__).parent
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
-from lunar_rescue.kinematics import arm_pose, solve_arm
-from lunar_rescue.robot import ARMS, WAIST
-from reproduce.errors import UserError
-from reproduce.evaluation import run_episode
-from reproduce.methods.planner import PlannerPolicy
-from reproduce.planning.batch_ik import plate_tips, solve_arms
-from reproduce.planning.collision import CollisionChecker
-from reproduce.planning.planner import RescuePlanner
-from reproduce.planning.rrt import connect, length, path_is_free, resample, shortcut
-from reproduce.planning.variants import load_variants
-from reproduce.solvability import measure_solvability, solve_scene, summarise_solvability
+from lunar_rescue.physics.kinematics import arm_pose, solve_arm
+from lunar_rescue.physics.robot import ARMS, WAIST
+from reproduce.baselines.planner.batch_ik import plate_tips, solve_arms
+from reproduce.baselines.planner.collision import CollisionChecker
+from reproduce.baselines.planner.planner import RescuePlanner
+from reproduce.baselines.planner.policy import PlannerPolicy
+from reproduce.baselines.planner.rrt import connect, length, path_is_free, resample, shortcut
+from reproduce.baselines.planner.variants import load_variants
+from reproduce.experiments.evaluate import run_episode
+from reproduce.experiments.solvability import measure_solvability, solve_scene, summarise_solvability
+from reproduce.storage.errors import UserError
 
 TRAIN_SEEDS = range(3_200_000, 3_200_006)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from reproduce.config import PRESETS
-from reproduce.profiling import SHARES, Clock, learning_meanwhile, rates_of_methods, where_a_second_goes
+from reproduce.bench.profiling import SHARES, Clock, learning_meanwhile, rates_of_methods, where_a_second_goes
+from reproduce.learning.config import PRESETS
 
 
 class _Work:

@@ -15,14 +15,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunar_rescue import LunarRescueEnv, postures, sample_scene, simulation
-from lunar_rescue.overlay import caption, draw_overlay, near_colour, nearest_links, subgoals_in_scene
-from lunar_rescue.rendering import Camera, Studio, base_frame, scene_camera
-from lunar_rescue.suit import suit_parts
-from lunar_rescue.terrain import Terrain
-from reproduce.errors import UserError
-from reproduce.replay import parse_size, strip
-from reproduce.watch import watch
+from lunar_rescue import LunarRescueEnv, postures, sample_scene
+from lunar_rescue.physics import simulation
+from lunar_rescue.pictures.overlay import caption, draw_overlay, near_colour, nearest_links, subgoals_in_scene
+from lunar_rescue.pictures.rendering import Camera, Studio, base_frame, scene_camera
+from lunar_rescue.scenes.suit import suit_parts
+from lunar_rescue.scenes.terrain import Terrain
+from reproduce.report.film import parse_size, strip
+from reproduce.report.watch import watch
+from reproduce.storage.errors import UserError
 
 SMALL = (240, 176)
 
@@ -146,7 +147,7 @@ def test_a_slope_leans_and_the_camera_does_not(env: LunarRescueEnv, studio: Stud
 
 @pytest.mark.parametrize("name", list(postures())[::5])
 def test_every_suit_part_is_drawn_where_it_collides(name: str) -> None:
-    from lunar_rescue.shapes import suit_shapes
+    from lunar_rescue.pictures.shapes import suit_shapes
 
     limbs = postures()[name].limbs
     corners = np.concatenate([mesh.vertices for mesh in suit_shapes(limbs).values()])

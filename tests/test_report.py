@@ -12,18 +12,18 @@ import nbformat
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from lunar_rescue.postures import postures
-from reproduce.cards import card, export, reference_run
-from reproduce.errors import UserError
-from reproduce.evaluation import evaluate
-from reproduce.files import write_json
-from reproduce.registry import METHODS
-from reproduce.replay3d import LARGEST, record, write_replay
+from lunar_rescue.scenes.postures import postures
+from reproduce.analysis.runs import reference_runs
+from reproduce.experiments.evaluate import evaluate
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.train import train
 from reproduce.report import build_report
+from reproduce.report.cards import card, export, reference_run
 from reproduce.report.gallery import choose_clips
 from reproduce.report.notebook import fill_in, notebook_page
-from reproduce.results import reference_runs
-from reproduce.training import train
+from reproduce.report.viewer import LARGEST, record, write_replay
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import write_json
 
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
 

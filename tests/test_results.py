@@ -11,18 +11,13 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from lunar_rescue.splits import SPLITS, TRAIN, split_of
-from reproduce import arithmetic
-from reproduce.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
-from reproduce.errors import UserError
-from reproduce.evaluation import mass_class
-from reproduce.pages import PAGES, rewritten
-from reproduce.report.notebook import fill_in, mark_mathematics
-from reproduce.results import ROOT, reference_runs
-from reproduce.settings import settings_table
-from reproduce.splits import train_seed
-from reproduce.statistics import count_by, mean_interval, paired_difference, summarise, wilson
-from reproduce.tables import (
+from lunar_rescue.scenes.splits import SPLITS, TRAIN, split_of
+from reproduce.analysis import reward_forms as arithmetic
+from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
+from reproduce.analysis.intervals import count_by, mean_interval, paired_difference, summarise, wilson
+from reproduce.analysis.runs import ROOT, reference_runs
+from reproduce.analysis.settings import settings_table
+from reproduce.analysis.tables import (
     by_attitude,
     nearest_to_rocks,
     paired_differences,
@@ -30,6 +25,11 @@ from reproduce.tables import (
     readable_table1,
     table1,
 )
+from reproduce.experiments.evaluate import mass_class
+from reproduce.learning.splits import train_seed
+from reproduce.report.notebook import fill_in, mark_mathematics
+from reproduce.report.pages import PAGES, rewritten
+from reproduce.storage.errors import UserError
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -330,7 +330,7 @@ def test_splits_do_not_meet() -> None:
 
 @pytest.mark.parametrize("page", list(PAGES))
 def test_pages_hold_what_code_and_results_say(page: str) -> None:
-    """Else run ``python -m reproduce.pages``."""
+    """Else run ``python -m reproduce.report.pages``."""
     assert (ROOT / page).read_text(encoding="utf-8") == rewritten(page)
 
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from lunar_rescue import LunarRescueEnv
 from lunar_rescue.observation import BOUND
-from lunar_rescue.postures import DATA_FILE, all_postures, heldout_postures, load_postures, postures
-from lunar_rescue.robot import JOINTS
-from lunar_rescue.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock
-from lunar_rescue.scene import (
+from lunar_rescue.physics.robot import JOINTS
+from lunar_rescue.scenes.postures import DATA_FILE, all_postures, heldout_postures, load_postures, postures
+from lunar_rescue.scenes.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock
+from lunar_rescue.scenes.scene import (
     BASE_RANGE,
     FRICTION_RANGE,
     HELDOUT_MASSES,
@@ -27,10 +27,10 @@ from lunar_rescue.scene import (
     sample_scene,
     task_distribution,
 )
-from lunar_rescue.splits import HELDOUT, TEST, TRAIN, VALIDATION
-from lunar_rescue.suit import mass_properties, suit_parts
-from lunar_rescue.targets import approach_sides, target_areas
-from lunar_rescue.terrain import MAX_SLOPE, SMOOTH, Terrain
+from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN, VALIDATION
+from lunar_rescue.scenes.suit import mass_properties, suit_parts
+from lunar_rescue.scenes.targets import approach_sides, target_areas
+from lunar_rescue.scenes.terrain import MAX_SLOPE, SMOOTH, Terrain
 
 
 def test_twenty_postures_of_four_attitudes() -> None:

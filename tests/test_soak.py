@@ -19,10 +19,9 @@ import pytest
 
 from lunar_rescue import LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
-from lunar_rescue.scene import task_distribution
-from lunar_rescue.splits import TRAIN
-from reproduce.errors import RunFailedError, UserError
-from reproduce.soak import (
+from lunar_rescue.scenes.scene import task_distribution
+from lunar_rescue.scenes.splits import TRAIN
+from reproduce.experiments.soak import (
     FIRST_SEED,
     SETTLED,
     Record,
@@ -36,6 +35,7 @@ from reproduce.soak import (
     soak,
     summary,
 )
+from reproduce.storage.errors import RunFailedError, UserError
 
 MEBIBYTE = 2**20
 
@@ -155,7 +155,7 @@ def test_the_run_stops_at_the_first_fault(
 
 
 def test_a_failed_run_writes_its_file_and_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("reproduce.soak.soak", lambda steps, quiet: [series(0.3)])
+    monkeypatch.setattr("reproduce.experiments.soak.soak", lambda steps, quiet: [series(0.3)])
     with pytest.raises(RunFailedError, match="memory grew"):
         run_soak(100, tmp_path / "soak.json", quiet=True)
     assert not json.loads((tmp_path / "soak.json").read_text())["passed"]

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from reproduce.config import PRESETS
-from reproduce.methods.hrl_dcs import make_learner
-from reproduce.methods.stepping import OnlySpaces
-from reproduce.stock import StockTraining, copy_rollout
+from reproduce.bench.stock import StockTraining, copy_rollout
+from reproduce.hrl_dcs.training import make_learner
+from reproduce.learning.config import PRESETS
+from reproduce.learning.training import OnlySpaces
 
 
 def test_stock_training_updates_both_layers_and_hands_its_rollout_over() -> None:

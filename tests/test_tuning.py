@@ -9,12 +9,12 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from reproduce import tuning
-from reproduce.config import PRESETS
-from reproduce.errors import UserError
-from reproduce.registry import METHODS
-from reproduce.trials import CHOSEN, TRIALS, Trial
-from reproduce.tuning import tune, tuning_table
+from reproduce.experiments import tuning
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
+from reproduce.experiments.tuning import tune, tuning_table
+from reproduce.learning.config import PRESETS
+from reproduce.storage.errors import UserError
 
 
 def test_every_baseline_gets_as_many_trials_and_has_chosen_one() -> None:

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from reproduce.errors import RunFailedError, UserError
-from reproduce.files import read_json, write_json
-from reproduce.registry import METHODS
-from reproduce.training import train_as_needed
-from reproduce.workflow.batch import LOCK, remaining, run_batch
-from reproduce.workflow.plan import CHECKS, Job, Plan, parse_seeds
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.train import train_as_needed
+from reproduce.experiments.workflow.batch import LOCK, remaining, run_batch
+from reproduce.experiments.workflow.plan import CHECKS, Job, Plan, parse_seeds
+from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.storage.files import read_json, write_json
 
 
 def plan(*methods: str, seeds: tuple[int, ...] = (0,)) -> Plan:

@@ -3,10 +3,10 @@
 import gymnasium
 
 from lunar_rescue.env import ENVIRONMENT_VERSION, LunarRescueEnv
-from lunar_rescue.postures import postures
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.rocks import Rock
-from lunar_rescue.scene import TASKS, Scene, sample_scene
+from lunar_rescue.scenes.postures import postures
+from lunar_rescue.scenes.rocks import Rock
+from lunar_rescue.scenes.scene import TASKS, Scene, sample_scene
 
 ENV_ID = "LunarRescue-v0"
 # The step limit lives in the environment (the time bonus needs it), so Gymnasium adds no second one.

@@ -12,15 +12,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue import rewards
-from lunar_rescue.astronaut import Astronaut
 from lunar_rescue.episode import Episode
 from lunar_rescue.observation import Observer, as_dict, observation_space
+from lunar_rescue.physics.astronaut import Astronaut
+from lunar_rescue.physics.robot import CONTROL_SUBSTEPS, JOINTS, Robot
+from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.robot import CONTROL_SUBSTEPS, JOINTS, Robot
-from lunar_rescue.rocks import rock_marks
-from lunar_rescue.scene import Scene, sample_scene
-from lunar_rescue.simulation import Simulation
-from lunar_rescue.splits import TRAIN
+from lunar_rescue.scenes.rocks import rock_marks
+from lunar_rescue.scenes.scene import Scene, sample_scene
+from lunar_rescue.scenes.splits import TRAIN
 from lunar_rescue.tasks import (
     BEARING_FORCE,
     HOLD_STEPS,
@@ -32,7 +32,7 @@ from lunar_rescue.tasks import (
 )
 
 if TYPE_CHECKING:
-    from lunar_rescue.rendering import Studio
+    from lunar_rescue.pictures.rendering import Studio
 
 Array = NDArray[np.float64]
 ENVIRONMENT_VERSION = "1.0"  # a change to what an episode does is a new version, see docs/environment.md
@@ -108,7 +108,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         if self.render_mode is None:
             return None
         if self._studio is None:
-            from lunar_rescue.rendering import Studio
+            from lunar_rescue.pictures.rendering import Studio
 
             self._studio = Studio(fine=1)
         return self._studio.picture(self.episode)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.astronaut import Astronaut, AstronautState
 from lunar_rescue.observation import Observer
-from lunar_rescue.robot import RobotState
-from lunar_rescue.scene import Scene
+from lunar_rescue.physics.astronaut import Astronaut, AstronautState
+from lunar_rescue.physics.robot import RobotState
+from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.tasks import SMALLEST_ERROR, Task
 
 Array = NDArray[np.float64]

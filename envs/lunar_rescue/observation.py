@@ -13,11 +13,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunar_rescue.astronaut import AstronautState
-from lunar_rescue.robot import JOINTS, WAIST, Robot, RobotState
-from lunar_rescue.rocks import MAX_ROCKS
-from lunar_rescue.scene import TASKS, Scene
-from lunar_rescue.suit import KEYPOINT_NAMES
+from lunar_rescue.physics.astronaut import AstronautState
+from lunar_rescue.physics.robot import JOINTS, WAIST, Robot, RobotState
+from lunar_rescue.scenes.rocks import MAX_ROCKS
+from lunar_rescue.scenes.scene import TASKS, Scene
+from lunar_rescue.scenes.suit import KEYPOINT_NAMES
 
 Array = NDArray[np.float64]
 

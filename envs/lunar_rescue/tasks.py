@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.astronaut import AstronautState
+from lunar_rescue.physics.astronaut import AstronautState
 
 Array = NDArray[np.float64]
 

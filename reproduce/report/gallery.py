@@ -11,10 +11,10 @@ from pathlib import Path
 import torch as th
 
 from lunar_rescue import sample_scene
-from lunar_rescue.postures import postures
-from lunar_rescue.robot import CONTROL_STEP
-from reproduce.registry import METHODS
-from reproduce.results import Run
+from lunar_rescue.physics.robot import CONTROL_STEP
+from lunar_rescue.scenes.postures import postures
+from reproduce.analysis.runs import Run
+from reproduce.experiments.methods import METHODS
 
 MOST_SCENES = 3000  # looked through for a posture
 
@@ -82,8 +82,8 @@ def _prepare() -> None:
 
 
 def _make(clip: Clip, folder: Path) -> str:
-    from reproduce.replay import ending
-    from reproduce.replay3d import record, write_replay
+    from reproduce.report.film import ending
+    from reproduce.report.viewer import record, write_replay
 
     recording = record(clip.where, clip.seed)
     write_replay(recording, folder / clip.file)

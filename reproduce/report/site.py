@@ -14,15 +14,15 @@ from typing import Any
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
-from reproduce.cards import card
-from reproduce.claims import ENOUGH_SEEDS, compute_claims
-from reproduce.files import write_text
-from reproduce.provenance import provenance
-from reproduce.registry import METHODS
+from reproduce.analysis.claims import ENOUGH_SEEDS, compute_claims
+from reproduce.analysis.runs import ROOT, Run, reference_runs
+from reproduce.analysis.tables import markdown_table, readable_table1
+from reproduce.experiments.methods import METHODS
+from reproduce.report.cards import card
 from reproduce.report.gallery import Clip, choose_clips, make_clips
 from reproduce.report.notebook import Page, fill_in, notebook_page
-from reproduce.results import ROOT, Run, reference_runs
-from reproduce.tables import markdown_table, readable_table1
+from reproduce.storage.files import write_text
+from reproduce.storage.provenance import provenance
 
 TITLE = "Lunar rescue by two arms"
 DOCUMENTS = ("environment.md", "training.md", "training_log.md", "assumptions.md", "extending.md", "cluster.md")
@@ -217,7 +217,7 @@ def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:
             "## The paper's claims\n",
             markdown_table(("", "claim", "paper", "verdict", "evidence"), verdicts),
             '<p class="origin" markdown="1">`results/claims.json`, made by `reproduce claims`; the rules are in '
-            "`reproduce/claims.py`.</p>\n",
+            "`reproduce/analysis/claims.py`.</p>\n",
             "## How far to trust it\n",
             _trust(runs),
             "## Run it again\n",

@@ -1,0 +1,132 @@
+"""The suited astronaut in the simulation: one rigid body, moved by contact and friction alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lunar_rescue.physics.simulation import RigidBody, Simulation
+from lunar_rescue.scenes.postures import Posture
+from lunar_rescue.scenes.scene import Scene
+from lunar_rescue.scenes.suit import keypoints, mass_properties
+from lunar_rescue.scenes.targets import target_areas
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AstronautState:
+    """Where the astronaut is, as posture recognition and tracking would tell.
+
+    Attributes:
+        centre: Centre of gravity P_P (3,) [m].
+        rotation: Body frame in the world, columns front, left, head (3, 3).
+        velocity: Of the centre of gravity (3,) [m/s].
+        spin: Angular velocity (3,) [rad/s].
+    """
+
+    centre: Array
+    rotation: Array
+    velocity: Array
+    spin: Array
+
+    @property
+    def front_up(self) -> float:
+        """Cosine between the front and straight up: 1 on the back, -1 face down."""
+        return float(self.rotation[2, 0])
+
+
+class Astronaut:
+    """Builds the body of a scene and reads its state.
+
+    Attributes:
+        ways_in: From each target (head's side, feet's side) to the entry before the body, in the world (2, 3) [m].
+    """
+
+    def __init__(self, simulation: Simulation, scene: Scene) -> None:
+        """Build the body at rest in its posture."""
+        fixed = _fixed(scene.model, scene.side, scene.task)
+        c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
+        heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest_height])
+        self._simulation = simulation
+        self._body: RigidBody = simulation.add_suit(scene.model.limbs, scene.mass)
+        half = 0.5 * scene.astronaut_yaw
+        simulation.place(self._body.handle, centre, _turned(half, fixed.quaternion))
+        self._to_body = fixed.to_body
+        self.start = AstronautState(centre, heading @ fixed.rotation, np.zeros(3), np.zeros(3))
+        self._targets, self._keypoints = fixed.targets, fixed.keypoints
+        self.ways_in = fixed.way_in[:, None] * np.array([-s, c, 0.0]) * scene.side
+
+    @property
+    def handle(self) -> int:
+        """The body in the simulation."""
+        return self._body.handle
+
+    def state(self) -> AstronautState:
+        """Read the pose and velocity."""
+        position, quaternion = self._simulation.raw_pose(self._body)
+        linear, angular = self._simulation.velocity(self._body)
+        rotation = _matrix(quaternion) @ self._to_body
+        return AstronautState(np.array(position), rotation, linear, angular)
+
+    def targets(self, state: AstronautState) -> Array:
+        """The two target areas P_G now (head's side, feet's side), moving with the body, (2, 3) [m]."""
+        points: Array = self._targets @ state.rotation.T + state.centre
+        points[:, 2] = np.maximum(points[:, 2], 0.03)
+        return points
+
+    def keypoints(self, state: AstronautState) -> Array:
+        """The skeleton's 13 key points now, (13, 3) [m]."""
+        points: Array = self._keypoints @ state.rotation.T + state.centre
+        return points
+
+
+@dataclass(frozen=True)
+class _Fixed:
+    """What is the same in each scene of a posture, a side and a task."""
+
+    rotation: Array  # body frame at rest, head along +x (3, 3)
+    quaternion: Array  # principal axes at rest, x, y, z, w
+    to_body: Array  # from principal axes to the body frame (3, 3)
+    targets: Array  # in the body frame (2, 3) [m]
+    keypoints: Array  # in the body frame (13, 3) [m]
+    way_in: Array  # length of the ways in (2,) [m]
+
+
+@lru_cache(maxsize=256)
+def _fixed(posture: Posture, side: int, task: str) -> _Fixed:
+    properties, rest, areas = mass_properties(posture.limbs), posture.rest_rotation(), target_areas(posture, side, task)
+    axes = Rotation.from_quat(properties.axes)
+    return _Fixed(
+        rest.as_matrix(),
+        (rest * axes).as_quat(),
+        axes.inv().as_matrix(),
+        rest.inv().apply(areas.offsets),
+        keypoints(posture.limbs) - properties.centre,
+        areas.way_in,
+    )
+
+
+def _turned(half: float, q: Array) -> Array:
+    """Quaternion of a turn about z by twice ``half`` [rad] after ``q``, x, y, z, w."""
+    c, s = math.cos(half), math.sin(half)
+    x, y, z, w = q.tolist()
+    return np.array([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z])
+
+
+def _matrix(q: tuple[float, ...]) -> Array:
+    """Rotation matrix of a quaternion x, y, z, w; SciPy's takes ten times as long for one."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,146 @@
+"""The robot: a waist and two arms, read and driven through the simulation (P6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.physics.simulation import SUBSTEP, Simulation
+
+Array = NDArray[np.float64]
+
+ARM_JOINTS = ("shoulder_pitch", "shoulder_roll", "elbow_yaw", "elbow_roll", "wrist_yaw")
+ARM_LINKS = ("shoulder", "upper_arm", "elbow", "forearm", "plate", "end")
+JOINT_SPEED = 1.5  # rad/s, every joint; the robot file has the same
+ARM_WINDOW = np.radians(60.0)  # rad, Eq. 3
+WAIST_WINDOW = np.radians(60.0)  # rad; Eq. 3 leaves the waist out, the same window is our choice
+INITIAL_ARM = np.radians([0.0, 8.0, 0.0, 140.0, 0.0])  # rad, q_init: forearms raised, clear of any posture
+INITIAL_WAIST = 0.0  # rad, upright
+CONTROL_SUBSTEPS = 5
+CONTROL_STEP = CONTROL_SUBSTEPS * SUBSTEP  # s, one action is held this long
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Indices of one arm; the same class serves both.
+
+    Attributes:
+        name: ``"A"`` (left) or ``"B"`` (right).
+        side: +1 for left, -1 for right.
+        joints: Slice of this arm in joint vectors.
+        links: Slice of this arm in link arrays; its last row is the arm's end.
+    """
+
+    name: str
+    side: int
+    joints: slice
+    links: slice
+
+
+ARM_A = Arm("A", 1, slice(0, 5), slice(0, 6))
+ARM_B = Arm("B", -1, slice(5, 10), slice(6, 12))
+ARMS = (ARM_A, ARM_B)
+WAIST = 10  # index of the waist in joint vectors
+JOINTS = 11
+ENDS = np.array([5, 11])  # rows of the two arm ends in link arrays
+PLATES = np.array([4, 10])  # and of the two plates' joints
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """What the robot's own sensors tell.
+
+    Attributes:
+        angles: Arm A, arm B, waist (11,) [rad].
+        speeds: (11,) [rad/s].
+        torques: Motor torques (11,) [N m].
+        points: Five joints and the end of each arm in the world (12, 3) [m].
+        directions: Unit vectors along the two plates in the world (2, 3).
+    """
+
+    angles: Array
+    speeds: Array
+    torques: Array
+    points: Array
+    directions: Array
+
+    @property
+    def ends(self) -> Array:
+        """The two arm ends, (2, 3) [m]."""
+        return self.points[ENDS]
+
+
+class Robot:
+    """Loads the robot once; ``reset`` puts it somewhere, ``drive`` sends an action."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Load the robot file and look joints and links up by name."""
+        self._simulation = simulation
+        self.handle = simulation.load_robot()
+        table = simulation.joint_table(self.handle)
+        self.links = len(table)
+        by_joint = {row[1]: row for row in table}
+        by_link = {row[2]: row[0] for row in table}
+        self.names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        rows = [by_joint[name] for name in self.names]
+        self._joints = [row[0] for row in rows]
+        self._points = [by_link[f"{arm.name}_{link}"] for arm in ARMS for link in ARM_LINKS]
+        self.arm_links = [{by_link[f"{arm.name}_{link}"] for link in ARM_LINKS} for arm in ARMS]
+        self.torque_limits = np.array([row[5] for row in rows])
+        self.speed_limits = np.array([row[6] for row in rows])
+        self.initial = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
+        self.window = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
+        self.lower = np.array([row[3] for row in rows])
+        self.upper = np.array([row[4] for row in rows])
+        self._torque_list = self.torque_limits.tolist()
+        self._reach_per_step = JOINT_SPEED * CONTROL_STEP
+        self._keep_apart(by_link)
+
+    def _keep_apart(self, by_link: dict[str, int]) -> None:
+        """Let arms collide with each other and with base and torso, and leave out pairs that can never meet."""
+        lower_arms = [[by_link[f"{arm.name}_{part}"] for part in ("forearm", "plate")] for arm in ARMS]
+        pairs = {(a, b) for a in lower_arms[0] for b in lower_arms[1]}
+        pairs |= {(body, link) for body in (-1, by_link["torso"]) for arm in lower_arms for link in arm}
+        self._simulation.collide_only(self.handle, self.links, pairs)
+        self._simulation.limit_speed(self.handle, self.links, JOINT_SPEED)
+
+    def joint_targets(self, action: Array) -> Array:
+        """Eq. 3: q = q_init + 60 deg * action, for the waist too, clipped to the joints' limits; (11,) [rad]."""
+        wanted: Array = np.minimum(np.maximum(self.initial + self.window * action, self.lower), self.upper)
+        return wanted
+
+    def action_for(self, angles: Array) -> Array:
+        """Inverse of Eq. 3, clipped to [-1, 1]."""
+        return np.clip((angles - self.initial) / self.window, -1.0, 1.0)
+
+    def rest(self) -> None:
+        """Put the joints at q_init, where no link is near another."""
+        self._simulation.reset_joints(self.handle, self._joints, self.initial)
+
+    def reset(self, x: float, y: float, yaw: float) -> None:
+        """Put the base somewhere and the joints at q_init, at rest, motors holding."""
+        quaternion = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
+        self._simulation.place(self.handle, np.array([x, y, 0.0]), quaternion)
+        self.rest()
+        self._simulation.drive(self.handle, self._joints, self.initial.tolist(), self._torque_list)
+
+    def drive(self, action: Array, angles: Array) -> None:
+        """Send an action; the set-point runs ahead of ``angles`` by no more than the speed limit allows."""
+        reach = self._reach_per_step
+        ahead = np.minimum(np.maximum(self.joint_targets(action) - angles, -reach), reach)
+        self._simulation.drive(self.handle, self._joints, (angles + ahead).tolist(), self._torque_list)
+
+    def switch_off(self) -> None:
+        """Let every joint swing freely."""
+        self._simulation.release(self.handle, self._joints)
+
+    def state(self, *, fresh: bool = False) -> RobotState:
+        """Read the robot's sensors; right after a reset (``fresh``) Bullet still reports the last episode's torques."""
+        angles, speeds, torques = self._simulation.joint_states(self.handle, self._joints)
+        torques = np.zeros_like(torques) if fresh else torques
+        points = self._simulation.link_positions(self.handle, self._points)
+        along = points[ENDS] - points[PLATES]
+        along /= np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
+        return RobotState(angles, speeds, torques, points, along)

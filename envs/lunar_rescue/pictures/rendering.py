@@ -1,0 +1,407 @@
+"""Pictures of an episode: camera, sun and soft shadows (PyBullet's software renderer, no display needed).
+
+A picture is made from data (the scene, the robot's joint angles, the astronaut's pose) on a stage of its own, never in
+the simulation. PyBullet's software renderer tells per pixel what is seen, how deep and how it faces the sun; colours,
+shadows and ground are worked out from that in NumPy, which is faster and finer than the renderer's own. The ground does
+not move: it is drawn once for each scene and camera.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
+
+from lunar_rescue.physics.robot import ARM_JOINTS, ARMS
+from lunar_rescue.physics.simulation import ROBOT_FILE, Stage
+from lunar_rescue.pictures import regolith, shapes
+from lunar_rescue.scenes.suit import mass_properties
+
+if TYPE_CHECKING:
+    from lunar_rescue.episode import Episode
+    from lunar_rescue.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+SIZE = (480, 352)  # px, multiples of 16 as films want them
+DISTANCE = 3.1  # m, camera from the point between robot and astronaut
+PITCH = -18.0  # deg
+TURN = 68.0  # deg, camera beside the line from robot to astronaut
+GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
+FIELD_OF_VIEW = 42.0  # deg, upright
+NEAR, FAR = 0.3, 90.0  # m
+SUN_BESIDE, SUN_HEIGHT = -72.0, 33.0  # deg, the sun stands beside the camera, so that shapes show
+SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that cast shadows, cells of the shadow map
+SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments throw back into the shadows
+WHITE = (1.0, 1.0, 1.0)
+GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from.
+
+    Attributes:
+        target: Point looked at, in the scene (3,) [m].
+        distance: From there [m].
+        yaw: Heading of the view; 0 looks along y [deg].
+        pitch: Negative looks down [deg].
+        size: Width and height [px].
+        upright: Turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera.
+        field_of_view: Upright [deg].
+        near: Nearest that is seen [m].
+        far: Furthest that is seen [m].
+    """
+
+    target: tuple[float, float, float]
+    distance: float = DISTANCE
+    yaw: float = 0.0
+    pitch: float = PITCH
+    size: tuple[int, int] = SIZE
+    upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    field_of_view: float = FIELD_OF_VIEW
+    near: float = NEAR
+    far: float = FAR
+
+    @cached_property
+    def view(self) -> Array:
+        """Scene to camera, (4, 4)."""
+        turn = Rotation.from_euler("zx", [-self.yaw, -90.0 - self.pitch], degrees=True).as_matrix()
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn @ np.array(self.upright)
+        matrix[:3, 3] = -matrix[:3, :3] @ np.array(self.target) - [0.0, 0.0, self.distance]
+        return matrix
+
+    @cached_property
+    def projection(self) -> Array:
+        """Camera to clip coordinates, (4, 4)."""
+        f = 1.0 / np.tan(np.radians(self.field_of_view) / 2)
+        near, far = self.near, self.far
+        matrix = np.zeros((4, 4))
+        matrix[0, 0], matrix[1, 1] = f * self.size[1] / self.size[0], f
+        matrix[2, 2], matrix[2, 3], matrix[3, 2] = (far + near) / (near - far), 2 * far * near / (near - far), -1.0
+        return matrix
+
+    @property
+    def eye(self) -> Array:
+        """Where the camera is in the scene, (3,) [m]."""
+        return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
+
+    def project(self, points: Array) -> Array:
+        """Pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
+        seen = points @ self.view[:3, :3].T + self.view[:3, 3]
+        depth = -seen[:, 2]
+        across = self.projection[0, 0] * seen[:, 0] / depth
+        up = self.projection[1, 1] * seen[:, 1] / depth
+        width, height = self.size
+        return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
+
+    def pixels_per_metre(self, depth: float) -> float:
+        """How large a metre looks at this depth [m]."""
+        return float(self.projection[1, 1] * self.size[1] / 2 / depth)
+
+    def depth_in_metres(self, depth: Floats) -> Floats:
+        """Depth along the view [m] from the renderer's [0, 1]."""
+        near, far = np.float32(self.near), np.float32(self.far)
+        return near * far / (far - depth * (far - near))
+
+    def rays(self) -> Floats:
+        """Vectors in the scene from the camera through each pixel to depth 1, (height, width, 3)."""
+        width, height = self.size
+        x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
+        y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
+        gx, gy = np.meshgrid(x, y)
+        rays: Floats = (np.stack([gx, gy, -np.ones_like(gx)], -1) @ self.view[:3, :3]).astype(np.float32)
+        return rays
+
+
+def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
+    """The camera beside the robot, looking at robot and astronaut; ``turn`` [deg] leads it round them."""
+    x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
+    z = float(scene.terrain.height(x, y))
+    yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
+    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=_upright(scene))
+
+
+def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
+    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
+    return tuple(tuple(row) for row in turn.as_matrix().tolist())
+
+
+def ground_mesh(scene: Scene, camera: Camera) -> shapes.Mesh:
+    """The ground as it is drawn for this camera."""
+    return shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
+
+
+def base_frame(episode: Episode) -> tuple[Array, Array]:
+    """Origin (3,) [m] and axes (3, 3), in columns, of the robot's base in the scene."""
+    origin = episode.observer.to_base(np.zeros((1, 3)))
+    axes = (episode.observer.to_base(np.eye(3)) - origin).T
+    return -axes.T @ origin[0], axes.T
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What stays the same between the pictures of one scene and camera; images at the renderer's size."""
+
+    camera: Camera
+    sun: Camera
+    rays: Floats
+    colour: Floats  # (h, w, 3), black where the sky is
+    sunlight: Floats  # (h, w), sun on the ground where nothing is in the way
+    cell: NDArray[np.int32]  # (h, w), cell of the shadow map
+    depth: Floats  # (cells, cells), of the ground from the sun [m]
+
+
+class Studio:
+    """Takes pictures of episodes; keeps the stage of the last scene."""
+
+    def __init__(self, fine: int = 2) -> None:
+        """Prepare an empty stage.
+
+        Args:
+            fine: The renderer works with so many times the pixels each way, which smooths edges; 1 is fastest.
+        """
+        self._fine = fine
+        self._set, self._bare = StageSet(Stage()), Stage()  # the bodies, and the ground without them
+        self._ground: _Ground | None = None
+
+    def close(self) -> None:
+        """Free the stage."""
+        self._set.close()
+        self._bare.close()
+
+    def picture(self, episode: Episode, camera: Camera | None = None) -> Picture:
+        """Take a picture of an episode as it is now, (height, width, 3).
+
+        Args:
+            episode: Its scene, robot and body are drawn.
+            camera: ``scene_camera`` of the scene without one.
+        """
+        camera = camera or scene_camera(episode.scene)
+        if self._set.show(episode, WHITE):
+            self._ground = None
+        if self._ground is None or self._ground.camera != camera:
+            self._ground = self._draw_ground(episode.scene, camera)
+        ground = self._ground
+        light = self._light(ground)
+        image = ground.colour * (ground.sunlight * light.ravel()[ground.cell] + AMBIENT + FILL)[..., None]
+        self._draw_bodies(image, ground)
+        return _finish(image, self._fine)
+
+    def _fine_camera(self, camera: Camera) -> Camera:
+        return replace(camera, size=(camera.size[0] * self._fine, camera.size[1] * self._fine))
+
+    def _draw_ground(self, scene: Scene, camera: Camera) -> _Ground:
+        fine, sun = self._fine_camera(camera), sun_camera(camera)
+        self._bare.clear()
+        mesh = ground_mesh(scene, camera)
+        self._bare.add_mesh((mesh.vertices, mesh.normals, mesh.faces, WHITE))
+        _, depth, seen = _look(self._bare, fine, sun)
+        _, sun_depth, _ = _look(self._bare, sun, sun)
+        rays = fine.rays()
+        sky = seen < 0
+        away = fine.depth_in_metres(depth)
+        points = (fine.eye + rays * away[..., None]).reshape(-1, 3)
+        brightness, slopes = regolith.surface(points[:, 0], points[:, 1], away.ravel())
+        tilt = _slopes(scene, points[:, :2], camera.target)
+        normals = np.column_stack([-(slopes + tilt), np.ones(len(points))])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        cosine = (normals @ _towards(sun)).clip(0.0).astype(np.float32).reshape(away.shape)
+        colour = brightness[:, None] * np.array(regolith.GREY, np.float32) ** GAMMA
+        colour[sky.ravel()] = 0.0
+        where, _ = _cells(sun, points)
+        return _Ground(
+            camera,
+            sun,
+            rays,
+            colour.reshape(*away.shape, 3).astype(np.float32),
+            SUNLIGHT * cosine,
+            where.reshape(away.shape),
+            sun.depth_in_metres(sun_depth),
+        )
+
+    def _light(self, ground: _Ground) -> Floats:
+        """Share of the sun that reaches the ground in each cell of the shadow map; keeps the map of the bodies."""
+        _, depth, bodies = _look(self._set.stage, ground.sun, ground.sun)
+        self._map = np.where(bodies >= 0, ground.sun.depth_in_metres(depth), np.float32(1e3))
+        lit = (self._map > ground.depth - 0.01).astype(np.float32)
+        lit[[0, -1], :] = lit[:, [0, -1]] = 1.0  # beyond the map there is no shadow
+        return np.asarray(gaussian_filter(lit, 1.3))
+
+    def _draw_bodies(self, image: Floats, ground: _Ground) -> None:
+        camera, sun = self._fine_camera(ground.camera), ground.sun
+        shade, depth, bodies = _look(self._set.stage, camera, sun)
+        mask = bodies >= 0
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if not len(rows):
+            return
+        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        mask, bodies = mask[box], bodies[box]
+        points = camera.eye.astype(np.float32) + ground.rays[box] * camera.depth_in_metres(depth[box])[..., None]
+        normals = _normals(points)[mask]
+        points = points[mask]
+        colour = self._set.colours[bodies[mask] & 0xFFFFFF, bodies[mask] >> 24]
+        rocky = self._set.rocky[bodies[mask] & 0xFFFFFF]
+        if rocky.any():
+            grain = points[rocky] @ np.array([[1.0, 0.3], [0.4, 1.0], [0.7, -0.6]], np.float32)
+            colour[rocky] *= regolith.surface(grain[:, 0], grain[:, 1], np.zeros(len(grain), np.float32))[0][:, None]
+        lit = self._lit(sun, points) * shade[box][mask]
+        fill = _towards(replace(sun, yaw=ground.camera.yaw + 40.0, pitch=-25.0)).astype(np.float32)
+        up = np.array(ground.camera.upright, np.float32)[2]
+        rest = AMBIENT + FILL * (0.55 + 0.45 * (normals @ up)) + 0.14 * (normals @ fill).clip(0.0)
+        image[box][mask] = colour * (SUNLIGHT * lit + rest)[:, None]
+
+    def _lit(self, sun: Camera, points: Floats) -> Floats:
+        """Share of the sun that reaches points on bodies (n, 3), soft over a few cells of the shadow map, (n,)."""
+        cell, away = _cells(sun, points)
+        flat = self._map.ravel()
+        taps = [cell + dx + dy * SUN_CELLS for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        nearest = away - np.float32(0.04)
+        lit = sum((flat.take(tap, mode="clip") > nearest).astype(np.float32) for tap in taps)
+        return np.asarray(lit / np.float32(len(taps)), np.float32)
+
+
+class StageSet:
+    """The bodies of a scene on a stage, moved as the episode goes."""
+
+    def __init__(self, stage: Stage) -> None:
+        """Keep the stage, on which nothing stands yet."""
+        self.stage = stage
+        self._scene: Scene | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
+        self._robot_file = Path(self._folder.name) / "robot.urdf"
+        shapes.robot_with_details(ROBOT_FILE, self._robot_file)
+
+    def close(self) -> None:
+        """Free stage and files."""
+        self.stage.close()
+        self._folder.cleanup()
+
+    def show(
+        self, episode: Episode, colour: tuple[float, float, float] | None = None, upright: Array | None = None
+    ) -> bool:
+        """Put everything where it is in the episode; return whether the scene is a new one.
+
+        Args:
+            episode: The episode.
+            colour: One colour for all (the true ones are in ``colours``), or None for the true ones.
+            upright: Turns everything about the origin (3, 3), for a camera that cannot lean.
+        """
+        new = episode.scene is not self._scene
+        turn = np.eye(3) if upright is None else upright
+        if new:
+            self._build(episode.scene, colour)
+            self._scene = episode.scene
+            for handle in self._stones:
+                self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
+            origin, axes = base_frame(episode)
+            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
+        self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
+        centre, quaternion = suit_pose(episode, turn)
+        self.stage.place(self._suit, centre, quaternion)
+        return new
+
+    @property
+    def robot(self) -> int:
+        """The robot's handle on the stage."""
+        return self._robot
+
+    def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
+        self.stage.clear()
+        self._robot, joints, links = self.stage.add_robot(self._robot_file)
+        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        self._joints = [joints[name] for name in names]
+        suit = shapes.suit_shapes(scene.model.limbs)
+        self._suit = self._add(suit, colour)
+        self._stones = stones = [
+            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
+        ]
+        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
+        for link, own in links.items():
+            self.colours[self._robot, link + 1] = own
+            self.stage.paint(self._robot, link, colour or own)
+        self.colours[self._suit, : len(suit)] = list(suit)
+        self.colours[stones] = shapes.BASALT
+        self.colours **= GAMMA
+        self.rocky = np.isin(np.arange(len(self.colours)), stones)
+
+    def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
+        return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
+
+
+def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
+    """Place (3,) [m] and quaternion (4,), x y z w, of the suit's meshes; ``turn`` turns all about the origin (3, 3)."""
+    turn = np.eye(3) if turn is None else turn
+    rotation = turn @ episode.body.rotation
+    centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
+    return centre, Rotation.from_matrix(rotation).as_quat()
+
+
+def sun_camera(camera: Camera) -> Camera:
+    """The sun as a camera that sees the middle of the scene; it stands beside the camera."""
+    opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
+    return replace(
+        camera,
+        distance=SUN_AWAY,
+        yaw=camera.yaw + SUN_BESIDE,
+        pitch=-SUN_HEIGHT,
+        size=(SUN_CELLS, SUN_CELLS),
+        field_of_view=opening,
+        near=SUN_AWAY - 5.0,
+        far=SUN_AWAY + 5.0,
+    )
+
+
+def _look(stage: Stage, camera: Camera, sun: Camera) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    return stage.look(camera.view, camera.projection, camera.size, _towards(sun))
+
+
+def _towards(camera: Camera) -> Array:
+    """From what a camera looks at to the camera, unit vector (3,)."""
+    return np.asarray(camera.view[2, :3])
+
+
+def _cells(sun: Camera, points: NDArray[Any]) -> tuple[NDArray[np.int32], Floats]:
+    """Flat index of the shadow map's cell (n,), its border beyond the map, and distance from the sun (n,) [m]."""
+    half = np.float32(SUN_CELLS / 2)
+    rows = (sun.projection @ sun.view)[[0, 1, 3]].astype(np.float32)
+    across, up, away = rows[:, :3] @ np.asarray(points, np.float32).T + rows[:, 3:]
+    column = ((across / away + 1) * half).clip(0, SUN_CELLS - 1).astype(np.int32)
+    row = ((1 - up / away) * half).clip(0, SUN_CELLS - 1).astype(np.int32)
+    return row * np.int32(SUN_CELLS) + column, away
+
+
+def _normals(points: Floats) -> Floats:
+    """Normals of a surface seen from a camera, (h, w, 3), from its points (h, w, 3); rough at outlines."""
+    right, down = np.zeros_like(points), np.zeros_like(points)
+    right[:, 1:-1], down[1:-1] = points[:, 2:] - points[:, :-2], points[2:] - points[:-2]
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(down, -1, 0), np.moveaxis(right, -1, 0)
+    normals = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+    return np.asarray(normals / np.sqrt((normals * normals).sum(axis=-1, keepdims=True) + 1e-20))
+
+
+def _slopes(scene: Scene, places: NDArray[Any], middle: tuple[float, ...], step: float = 0.02) -> NDArray[Any]:
+    """Slopes of the scene's ground along x and y at places (n, 2), none far away, (n, 2)."""
+    x, y = places.T.astype(np.float64)
+    near = (np.hypot(x - middle[0], y - middle[1]) < 2.5)[:, None]
+    x, y = np.where(near[:, 0], x, middle[0]), np.where(near[:, 0], y, middle[1])
+    along = (scene.terrain.height(x + step, y) - scene.terrain.height(x - step, y)) / (2 * step)
+    across = (scene.terrain.height(x, y + step) - scene.terrain.height(x, y - step)) / (2 * step)
+    return np.column_stack([along, across]) * near
+
+
+def _finish(image: Floats, fine: int) -> Picture:
+    """Average the fine pixels and encode brightness as screens expect it."""
+    small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
+    encoded: Picture = (255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)
+    return encoded

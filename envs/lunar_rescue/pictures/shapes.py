@@ -1,0 +1,190 @@
+"""Shapes that are only seen: the suit with visor and gloves, rocks, ground, and what the robot's file leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from lunar_rescue.scenes.suit import Limbs, Part, suit_parts
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+CLOTH, HARD, TRIM = (0.90, 0.89, 0.86), (0.70, 0.73, 0.78), (0.75, 0.16, 0.12)
+VISOR, DARK, LENS = (0.80, 0.55, 0.12), (0.22, 0.22, 0.24), (0.15, 0.45, 0.55)
+BASALT = (0.30, 0.28, 0.26)
+#: Colour of each suit part by the last word of its name.
+SUIT_COLOURS: dict[str, Colour] = {"backpack": HARD, "unit": HARD, "boot": DARK}
+ROUNDNESS = 0.25  # exponent of the rounded boxes: 0 is a box, 1 an ellipsoid
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with smooth normals.
+
+    Attributes:
+        vertices: Corners (V, 3) [m].
+        normals: Unit vectors outwards (V, 3).
+        faces: Indices of corners (F, 3).
+    """
+
+    vertices: Array
+    normals: Array
+    faces: NDArray[np.int64]
+
+
+def _lattice(rows: int, columns: int) -> NDArray[np.int64]:
+    """Triangles of a lattice of points, ((rows - 1) * (columns - 1) * 2, 3)."""
+    i = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    return np.concatenate([np.stack([i, i + 1, i + columns + 1], -1), np.stack([i, i + columns + 1, i + columns], -1)])
+
+
+def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: float = 0.0) -> Mesh:
+    """A superellipsoid of these half extents [m], stretched along z by ``stretch`` [m] (a capsule)."""
+    around, up = np.meshgrid(np.linspace(-np.pi, np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 14))
+
+    def surface(power: float) -> Array:
+        def of(wave: Array) -> Array:
+            return np.sign(wave) * np.abs(wave) ** power
+
+        return np.stack([of(np.cos(up)) * of(np.cos(around)), of(np.cos(up)) * of(np.sin(around)), of(np.sin(up))], -1)
+
+    points = surface(exponent).reshape(-1, 3) * half
+    points[:, 2] += np.sign(up).ravel() * stretch / 2
+    normals = surface(2 - exponent).reshape(-1, 3) / half
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return Mesh(points, normals, _lattice(*up.shape))
+
+
+def hull(corners: Array) -> Mesh:
+    """The convex hull of some points (M, 3) [m] with flat faces."""
+    solid = ConvexHull(corners)
+    vertices = corners[solid.simplices]
+    outwards = solid.equations[:, :3]
+    turned = np.einsum("ij,ij->i", np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]), outwards)
+    vertices[turned < 0] = vertices[turned < 0][:, ::-1]
+    return Mesh(vertices.reshape(-1, 3), np.repeat(outwards, 3, axis=0), np.arange(vertices.size // 3).reshape(-1, 3))
+
+
+def ground(
+    height: Callable[[Array, Array], Array], up: Array, centre: Array, half: float = 2.5, far: float = 45.0
+) -> Mesh:
+    """The ground: fine within ``half`` of ``centre`` (2,) [m], coarser out to ``far``, where hills close the view.
+
+    Args:
+        height: Heights [m] at places x, y [m].
+        up: Against gravity (3,); a slope levels off beyond the work area, so that the horizon stays level.
+        centre: Middle of the work area (2,) [m].
+        half: Half side of the work area [m].
+        far: Half side of what is seen [m].
+    """
+    fine = np.linspace(-half, half, 101)
+    out = half * (far / half) ** np.linspace(0, 1, 25)[1:]
+    line = np.concatenate([-out[::-1], fine, out])
+    dx, dy = np.meshgrid(line, line)
+    near = np.hypot(dx, dy).clip(1e-9)
+    # Beyond the work area the ground goes on as at its edge.
+    within = np.minimum(1.0, half / np.maximum(np.abs(dx), np.abs(dy)).clip(1e-9))
+    z = height(centre[0] + dx * within, centre[1] + dy * within)
+    bearing = np.arctan2(dy, dx)
+    ridge = 1.0 + 0.5 * np.sin(3 * bearing + 1.0) + 0.35 * np.sin(7 * bearing) + 0.15 * np.sin(17 * bearing + 2.0)
+    z = z + 1.3 * ridge * ((near - 12.0) / (far - 12.0)).clip(0.0) ** 1.5
+    level = -(up[0] * dx + up[1] * dy) / up[2]
+    share = ((near - 3.0) / 9.0).clip(0.0, 1.0)
+    z = z + level * share * share * (3 - 2 * share)
+    points = np.stack([centre[0] + dx, centre[1] + dy, z], -1)
+    slope_y, slope_x = np.gradient(z, line, line)
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(z)], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return Mesh(points.reshape(-1, 3), normals.reshape(-1, 3), _lattice(len(line), len(line)))
+
+
+# -- suit ------------------------------------------------------------------------------------------------------------
+def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
+    """The suit in the body frame, what has one colour in one mesh; its outlines are those of the colliding parts."""
+    shapes: dict[Colour, list[Mesh]] = {}
+    for part in suit_parts(limbs):
+        own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
+        for mesh, colour in [(_mesh(part), own), *_details(part)]:
+            shapes.setdefault(colour, []).append(_placed(part, mesh))
+    return {colour: _joined(meshes) for colour, meshes in shapes.items()}
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+    )
+
+
+def _mesh(part: Part) -> Mesh:
+    if part.kind == "box":
+        return rounded(part.size, ROUNDNESS)
+    return rounded((part.size[0],) * 3, stretch=part.size[1] if part.kind == "capsule" else 0.0)
+
+
+def _details(part: Part) -> list[tuple[Mesh, Colour]]:
+    """Visor, gloves and the coloured bands of a suit, a hair's breadth outside the part that they sit on."""
+    if part.name == "helmet":
+        radius = part.size[0]
+        return [(_moved(rounded((0.75 * radius, 0.8 * radius, 0.66 * radius)), (0.36 * radius, 0.0, 0.0)), VISOR)]
+    if part.name.endswith("forearm"):
+        radius, length = part.size
+        return [(_moved(rounded((1.06 * radius,) * 3, stretch=0.06), (0.0, 0.0, length / 2 - 0.01)), DARK)]
+    if part.name.endswith(("upper_arm", "thigh")):
+        radius = 1.05 * part.size[0]
+        return [(rounded((radius, radius, 0.008), stretch=0.05), TRIM)]
+    return []
+
+
+def _placed(part: Part, mesh: Mesh) -> Mesh:
+    turn = Rotation.from_quat(part.quaternion)
+    return _moved(Mesh(turn.apply(mesh.vertices), turn.apply(mesh.normals), mesh.faces), part.position)
+
+
+def _moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+    return Mesh(mesh.vertices + by, mesh.normals, mesh.faces)
+
+
+# -- robot -----------------------------------------------------------------------------------------------------------
+_WHEEL = '<cylinder radius="0.11" length="0.07"/>'
+_JOINT = '<sphere radius="{}"/>'
+#: Link that it sits on, colour, place [m], turn [rad], geometry.
+_ROBOT_DETAILS: list[tuple[str, Colour, str, str, str]] = [
+    *(("base", DARK, f"{x} {y} 0.11", "1.5708 0 0", _WHEEL) for x in (-0.30, 0.06) for y in (-0.22, 0.22)),
+    *(("base", HARD, f"{x} {y} 0.07", "0 0 0", '<box size="0.05 0.30 0.04"/>') for x in (-0.12,) for y in (-0.3, 0.3)),
+    *(("base", DARK, f"-0.12 {y} 0.02", "0 0 0", '<cylinder radius="0.08" length="0.04"/>') for y in (-0.45, 0.45)),
+    ("torso", DARK, "-0.04 0 0.42", "1.5708 0 0", '<cylinder radius="0.055" length="0.66"/>'),
+    ("torso", HARD, "-0.06 0 0.50", "0 0 0", '<cylinder radius="0.025" length="0.16"/>'),
+    ("torso", DARK, "-0.04 0 0.60", "0 0 0", '<box size="0.09 0.17 0.08"/>'),
+    ("torso", LENS, "0.01 0.045 0.60", "0 0 0", '<sphere radius="0.024"/>'),
+    ("torso", LENS, "0.01 -0.045 0.60", "0 0 0", '<sphere radius="0.024"/>'),
+    *((f"{a}_shoulder", DARK, "0 0 0", "0 0 0", _JOINT.format(0.075)) for a in "AB"),
+    *((f"{a}_elbow", DARK, "0 0 0", "0 0 0", _JOINT.format(0.062)) for a in "AB"),
+    *((f"{a}_plate", DARK, "0 0 0", "0 0 0", '<cylinder radius="0.045" length="0.06"/>') for a in "AB"),
+]
+
+
+def robot_with_details(source: Path, target: Path) -> None:
+    """Write the robot's file with wheels, joints and a camera head added as links that are only seen."""
+    tree = ElementTree.parse(source)
+    robot = tree.getroot()
+    for index, (parent, colour, place, turn, geometry) in enumerate(_ROBOT_DETAILS):
+        rgb = " ".join(map(str, colour))
+        text = (
+            f'<all><link name="detail_{index}"><visual><geometry>{geometry}</geometry>'
+            f'<material name="detail_{index}"><color rgba="{rgb} 1"/></material></visual></link>'
+            f'<joint name="detail_{index}" type="fixed"><parent link="{parent}"/><child link="detail_{index}"/>'
+            f'<origin xyz="{place}" rpy="{turn}"/></joint></all>'
+        )
+        robot.extend(ElementTree.fromstring(text))
+    tree.write(target)

@@ -1,0 +1,87 @@
+"""The two target areas between astronaut and ground (section 4.1), from the geometry of a resting posture.
+
+One area lies on the head's side of the centre of gravity and one on the feet's side, each where a flat plate can pass
+under the body from the robot's side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.scenes.postures import Posture
+
+Array = NDArray[np.float64]
+
+PLATE_HALF_WIDTH = 0.12  # m, half the plate's width (0.075) and room for not coming in quite squarely
+NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; arms reach no further apart
+PREFERRED = 0.42  # m, a span of 0.84 m suits shoulders 0.72 m apart
+BEFORE_EDGE = 0.16  # m, the way in begins this far before the body: a plate's tip (0.12 m) and a little room
+COVER = 0.06  # m, the body must reach this near to straight above a target
+HIGHEST = 0.05  # m, a target lies no higher above the ground than this
+
+#: How far short of the body's long axis the target lies. Lifting wants the plates under the centre; turning over wants
+#: them under the near half, so that the far edge is the hinge.
+DEPTH: dict[str, float] = {"lift": 0.0, "turn_over": 0.15}
+
+
+@dataclass(frozen=True)
+class TargetAreas:
+    """Two target areas of one posture, side and task.
+
+    Attributes:
+        offsets: Head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m].
+        clearance: Free height under the body on the way in (2,) [m].
+        near_edge: How far the body reaches towards the robot beside each target (2,) [m].
+        way_in: Length of the way from in front of the body to each target (2,) [m].
+    """
+
+    offsets: Array
+    clearance: Array
+    near_edge: Array
+    way_in: Array
+
+
+@lru_cache(maxsize=64)
+def approach_sides(posture: Posture) -> tuple[int, ...]:
+    """Sides from which the robot comes: +1 is +y with the head along +x.
+
+    Lying on a side, the robot comes from the front: it turns the astronaut away from itself, onto the back.
+    """
+    front_y = posture.rest_rotation().apply([1.0, 0.0, 0.0])[1]
+    if posture.attitude in ("supine", "prone"):
+        return (1, -1)
+    return (1,) if front_y > 0 else (-1,)
+
+
+@lru_cache(maxsize=256)
+def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
+    """Choose the two target areas for a robot on ``side``."""
+    points = posture.resting_surface()
+    depth = DEPTH[task]
+    along, towards, height = points[:, 0], side * points[:, 1], points[:, 2]
+    rows = []
+    for direction in (1, -1):
+        candidates = [
+            _candidate(direction * s, along, towards, height, depth) for s in np.arange(NEAREST, FURTHEST, 0.02)
+        ]
+        rows.append(max(candidates)[1:])
+    place, clearance, edge = np.array(rows).T
+    z = np.minimum(clearance / 2, HIGHEST) - posture.rest_height
+    offsets = np.column_stack([place, np.full(2, side * depth), z])
+    return TargetAreas(offsets, clearance, edge, edge - depth + BEFORE_EDGE)
+
+
+def _candidate(s: float, along: Array, towards: Array, height: Array, depth: float) -> tuple[float, ...]:
+    """Score, place, clearance and near edge of one strip: free height first, then a short way in, a handy span."""
+    strip = (np.abs(along - s) < PLATE_HALF_WIDTH) & (towards > depth - 0.10)
+    clearance = float(height[strip].min()) if strip.any() else 0.3
+    edge = float(towards[strip].max()) if strip.any() else depth
+    above = (np.abs(along - s) < COVER) & (np.abs(towards - depth) < COVER)
+    if not above.any():
+        return -1.0, s, clearance, edge  # a gap, between the legs say, is not under the body
+    score = min(clearance, 0.14) - 0.12 * abs(abs(s) - PREFERRED) - 0.25 * edge
+    return score, s, clearance, edge

@@ -1,0 +1,257 @@
+"""Percept, Manager and Worker as one SB3 policy: step by step for acting, whole sequences at once for learning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+from torch import nn
+from torch.distributions import Normal
+from torch.nn import functional
+
+from reproduce.baselines.feudal.levels import Manager, Worker
+from reproduce.learning.networks import StateEncoder
+
+
+class Memory(NamedTuple):
+    """What is carried from step to step, for n environments; stepping changes it in place.
+
+    Attributes:
+        clock: Steps since the episode began, (n,).
+        manager: Hidden and cell state of each group of the dilated LSTM, (n, 2, r, d).
+        worker: Hidden and cell state of Worker's LSTM, (n, 2, h).
+        goals: The last c goals sent to Worker, (n, c, d); the goal of step t is at t mod c.
+    """
+
+    clock: th.Tensor
+    manager: th.Tensor
+    worker: th.Tensor
+    goals: th.Tensor
+
+    def forget(self, starts: th.Tensor) -> None:
+        """Empty the memory of environments (n,) that begin an episode."""
+        if bool(starts.any()):
+            for part in self:
+                part[starts] = 0
+
+    def copy(self, rows: Any = slice(None)) -> Memory:
+        """The memory of some environments, apart from this one."""
+        return Memory(*(part[rows].clone() for part in self))
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step of n environments gives.
+
+    Attributes:
+        actions: As drawn, (n, a).
+        log_probs: Of the actions, (n,).
+        goals: Sent to Worker, random ones among them, (n, d).
+        own_goals: What Manager wanted, (n, d).
+        pooled: Sum of the last c goals, (n, d).
+        worker_values: V^D, (n,).
+        manager_values: V^M, (n,).
+    """
+
+    actions: th.Tensor
+    log_probs: th.Tensor
+    goals: th.Tensor
+    own_goals: th.Tensor
+    pooled: th.Tensor
+    worker_values: th.Tensor
+    manager_values: th.Tensor
+
+
+@dataclass(frozen=True)
+class FunSpec:
+    """All that is needed to build the network.
+
+    Attributes:
+        observations: Size of the flat observation.
+        actions: Size of the action.
+        hidden_units: Units of the percept, of Worker's LSTM and of the critics.
+        goal_size: d.
+        embedding_size: k.
+        horizon: c and r.
+    """
+
+    MOST: ClassVar[dict[str, int]] = {"horizon": 1000}  # what a foreign run folder may ask for
+
+    observations: int
+    actions: int
+    hidden_units: int
+    goal_size: int
+    embedding_size: int
+    horizon: int
+
+    def build(self) -> FunNetwork:
+        """Make the network, untrained."""
+        box = spaces.Box(-np.inf, np.inf, (self.observations,), np.float32)
+        act = spaces.Box(-1.0, 1.0, (self.actions,), np.float32)
+        return FunNetwork(box, act, lambda _: 0.0, self.hidden_units, self.goal_size, self.embedding_size, self.horizon)
+
+
+class FunNetwork(BasePolicy):
+    """Percept, Manager and Worker as one SB3 policy."""
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        lr_schedule: Schedule,
+        hidden_units: int = 128,
+        goal_size: int = 256,
+        embedding_size: int = 16,
+        horizon: int = 10,
+        log_std_init: float = 0.0,
+    ) -> None:
+        """Build the network.
+
+        Args:
+            observation_space: Flat observations.
+            action_space: A flat box.
+            lr_schedule: Learning rate.
+            hidden_units: Units of the percept, of Worker's LSTM and of the critics.
+            goal_size: d.
+            embedding_size: k.
+            horizon: c and r.
+            log_std_init: Logarithm of the initial standard deviation.
+        """
+        for name, space in (("observation_space", observation_space), ("action_space", action_space)):
+            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+                raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
+        super().__init__(observation_space, action_space)
+        assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
+        actions = action_space.shape[0]
+        self.spec = FunSpec(observation_space.shape[0], actions, hidden_units, goal_size, embedding_size, horizon)
+        self.percept = StateEncoder(observation_space, hidden_units)
+        self.percept.apply(lambda module: self.init_weights(module, gain=float(np.sqrt(2.0))))
+        self.manager = Manager(observation_space, hidden_units, goal_size, horizon)
+        self.worker = Worker(observation_space, actions, hidden_units, goal_size, embedding_size, horizon)
+        self.log_std = nn.Parameter(th.full((actions,), log_std_init))
+        make_optimizer: Any = self.optimizer_class
+        self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+    # -- one step ------------------------------------------------------------------------------------------------------
+    def empty_memory(self, count: int) -> Memory:
+        """The memory of environments that begin."""
+        c, d = self.spec.horizon, self.spec.goal_size
+        return Memory(
+            th.zeros(count, dtype=th.int64),
+            th.zeros(count, 2, c, d),
+            th.zeros(count, 2, self.spec.hidden_units),
+            th.zeros(count, c, d),
+        )
+
+    @th.no_grad()
+    def step(
+        self, observations: th.Tensor, memory: Memory, deterministic: bool = False, random_goals: float = 0.0
+    ) -> Step:
+        """Act once in n environments.
+
+        Args:
+            observations: (n, o).
+            memory: Changed in place; forget episodes that ended first.
+            deterministic: Whether to act by the mean.
+            random_goals: epsilon, the probability of a random goal.
+        """
+        z = self.percept(observations)
+        raw = self.manager.core.step(self.manager.space(z), memory.manager, memory.clock)
+        own = functional.normalize(raw, dim=-1)
+        goals = self._with_random(own, random_goals) if random_goals > 0.0 else own
+        memory.goals[th.arange(len(goals)), memory.clock % self.spec.horizon] = goals
+        pooled = memory.goals.sum(1)
+        before = memory.worker
+        output, after = self.worker.core(z[None], (before[None, :, 0].contiguous(), before[None, :, 1].contiguous()))
+        before[:, 0], before[:, 1] = after[0][0], after[1][0]
+        memory.clock.add_(1)
+        mean = self.worker.mean(output[0], pooled)
+        distribution = self.distribution(mean)
+        actions = mean if deterministic else distribution.sample()
+        return Step(
+            actions=actions,
+            log_probs=distribution.log_prob(actions).sum(-1),
+            goals=goals,
+            own_goals=own,
+            pooled=pooled,
+            worker_values=self.worker.value(observations, output[0], pooled),
+            manager_values=self.manager.value(observations, raw),
+        )
+
+    @staticmethod
+    def _with_random(goals: th.Tensor, share: float) -> th.Tensor:
+        """Put random directions in the place of a share of the goals; a goal's norm stays 1."""
+        random = functional.normalize(th.randn_like(goals), dim=-1)
+        return th.where(th.rand(len(goals), 1) < share, random, goals)
+
+    def distribution(self, mean: th.Tensor) -> Normal:
+        """Of the actions, each dimension by itself."""
+        return Normal(mean, self.log_std.exp().expand_as(mean))
+
+    def states(self, observations: th.Tensor) -> th.Tensor:
+        """Manager's states s, (..., o) to (..., d); they have no memory."""
+        states: th.Tensor = self.manager.space(self.percept(observations))
+        return states
+
+    # -- whole sequences -----------------------------------------------------------------------------------------------
+    def set_goals(
+        self, observations: th.Tensor, state: th.Tensor, clock: th.Tensor, mask: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor]:
+        """Manager's goals (m, d) and values (m,) for the m real steps of sequences.
+
+        Args:
+            observations: (l, n, o).
+            state: Of the dilated LSTM before each sequence, (n, 2, r, d).
+            clock: Steps since the episode began, where each sequence begins, (n,).
+            mask: Which of (l, n) are real.
+        """
+        raw = self.manager.core(self.states(observations), state, clock)[mask]
+        return functional.normalize(raw, dim=-1), self.manager.value(observations[mask], raw)
+
+    def act_towards(
+        self, observations: th.Tensor, state: tuple[th.Tensor, th.Tensor], mask: th.Tensor, pooled: th.Tensor
+    ) -> tuple[Normal, th.Tensor]:
+        """Worker's distribution and values (m,) for the m real steps of sequences.
+
+        Args:
+            observations: (l, n, o).
+            state: Hidden and cell state of Worker's LSTM before each sequence, each (1, n, h).
+            mask: Which of (l, n) are real.
+            pooled: Sum of the last c goals at the real steps, (m, d).
+        """
+        memory = self.worker.core(self.percept(observations), state)[0][mask]
+        mean = self.worker.mean(memory, pooled)
+        return self.distribution(mean), self.worker.value(observations[mask], memory, pooled)
+
+    # -- as SB3 asks ---------------------------------------------------------------------------------------------------
+    def predict(
+        self,
+        observation: NDArray[Any] | dict[str, NDArray[Any]],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """Actions and the memory after them; see SB3. Without ``state`` every call begins an episode."""
+        self.set_training_mode(False)
+        seen, several = self.obs_to_tensor(observation)
+        assert isinstance(seen, th.Tensor) and isinstance(self.action_space, spaces.Box)
+        observations = seen.float()
+        memory = self.empty_memory(len(observations))
+        if state is not None:
+            memory = Memory(*(th.tensor(part) for part in state))
+        if episode_start is not None:
+            memory.forget(th.as_tensor(np.asarray(episode_start, bool)))
+        drawn = self.step(observations, memory, deterministic).actions.numpy()
+        actions = np.clip(drawn, self.action_space.low, self.action_space.high)
+        return actions if several else actions[0], tuple(part.numpy() for part in memory)
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
+        """The first action of an episode, (n, a)."""
+        assert isinstance(observation, th.Tensor)
+        return self.step(observation.float(), self.empty_memory(len(observation)), deterministic).actions

@@ -1,0 +1,49 @@
+"""Acting with a trained FuN policy, and reading it from a run folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+
+from reproduce.baselines.feudal.network import FunNetwork, FunSpec
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.storage.policies import load_networks
+
+LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
+
+
+class FunPolicy(MirroredPolicy):
+    """Manager and Worker, both acting every step, with no random goals."""
+
+    def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
+        """Keep the network.
+
+        Args:
+            network: Trained.
+            mirrored: Whether it sees scenes through ``reproduce.learning.mirror``.
+            deterministic: Whether Worker acts by its mean.
+        """
+        super().__init__(mirrored)
+        self.network, self._deterministic = network, deterministic
+
+    def begin(self, count: int) -> None:
+        """See ``MirroredPolicy``."""
+        self._memory = self.network.empty_memory(count)
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``MirroredPolicy``."""
+        self._memory.forget(th.from_numpy(np.asarray(starts, bool)))
+        actions: Actions = self.network.step(
+            th.from_numpy(observations), self._memory, self._deterministic
+        ).actions.numpy()
+        return actions
+
+
+def load_network(folder: Path, sizes: tuple[int, int]) -> FunNetwork:
+    """The network of a run folder whose observation and action have these sizes; see ``load_networks``."""
+    network = load_networks(folder, {LEVEL: sizes}, FunSpec)[LEVEL]
+    assert isinstance(network, FunNetwork)
+    return network

@@ -1,0 +1,55 @@
+"""`fun`: Manager and Worker trained together on the environment's own reward, as `ppo_lstm` is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.logger import Logger
+
+from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.learner import FunPPO
+from reproduce.baselines.feudal.network import FunNetwork, FunSpec
+from reproduce.baselines.feudal.policy import LEVEL
+from reproduce.baselines.recurrent_ppo import EpisodeLog
+from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.training import RecurrentTraining, make_environments, own_arguments, stock_arguments
+
+
+def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int) -> FunPPO:
+    """FuN's learner as SB3 knows it; ``config`` says what it shares with the other learners."""
+    learner = FunPPO(
+        FunNetwork,
+        env,
+        policy_kwargs={"hidden_units": config.hidden_units, "log_std_init": config.log_std_init},
+        seed=seed,
+        fun=fun,
+        **stock_arguments(config),
+        **own_arguments(config),
+    )
+    learner.set_logger(Logger(folder=None, output_formats=[]))
+    return learner
+
+
+class FunTraining(RecurrentTraining):
+    """Trains Manager and Worker; ``update`` is one rollout and one training of both."""
+
+    def __init__(self, config: TrainingConfig, seed: int) -> None:
+        """Start environments and learner."""
+        venv = make_environments(config, seed)
+        env = EpisodeLog(venv)
+        self.learner = make_fun_learner(env, config.low, config.fun, seed)
+        super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
+
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect and learn; ``done`` steps were taken before."""
+        self.collect(done)
+        self.learner.train()
+        row = self.row()
+        for key in ("intrinsic", "goal_cosine", "manager_explained_variance"):
+            row[f"{LEVEL}_{key}"] = self.learner.logger.name_to_value.get(f"train/{key}", np.nan)
+        return row
+
+    def networks(self) -> dict[str, tuple[FunSpec, FunNetwork]]:
+        """Manager and Worker are one network; see ``Training``."""
+        return {LEVEL: (self.learner.network.spec, self.learner.network)}

@@ -1,0 +1,237 @@
+"""Process 1: joint paths that bring both plates under the body, by inverse kinematics and RRT-Connect.
+
+The last part of every way is a straight slide in front of and then under the body, as nothing else fits there; it is
+solved backwards from several goals for each arm, and RRT-Connect finds the way to where the slide begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue import LunarRescueEnv
+from lunar_rescue.physics.robot import ARMS, WAIST, Arm
+from reproduce.baselines.planner.batch_ik import plate_tips, solve_arms
+from reproduce.baselines.planner.collision import BODY_TOUCH, CollisionChecker
+from reproduce.baselines.planner.rrt import connect, length, line_is_free, path_is_free, shortcut
+
+Array = NDArray[np.float64]
+
+REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
+BEFORE = 0.04  # m, the slide begins this far before the entry
+TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
+SLIDE_STEPS = 5  # places along the slide, the goal included
+BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
+OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
+CHECKS = 120_000  # collision checks for one scene, about 6 s; most need 500
+LONGEST = 6.5  # rad, a longer way leaves no time for the second process
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to look for a way.
+
+    Attributes:
+        touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
+            to the ground gives way to a plate, which only trying out can tell.
+        draws: Of RRT-Connect for one way; without any only straight lines are tried.
+        slides: For which a way is sought, of one stance.
+    """
+
+    touches: tuple[float, ...]
+    draws: int
+    slides: int
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How the waist leans while the plates slide in.
+
+    Attributes:
+        under: Waist angle with the plates under the body [deg].
+        lean: How much further it leans per metre slid in [deg/m].
+    """
+
+    under: float
+    lean: float
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where one plate goes, beside its target.
+
+    Attributes:
+        ahead: Further under the body [m].
+        aside: Outwards, away from the other arm [m].
+        up: Higher [m].
+        slope: Forearm above the horizontal [deg].
+        turn: Direction of the slide, outwards from straight ahead [deg].
+    """
+
+    ahead: float = 0.0
+    aside: float = 0.0
+    up: float = 0.0
+    slope: float = -3.0
+    turn: float = 0.0
+
+
+#: One after the other: most scenes have a way in straight lines, a few need much.
+EFFORTS = (
+    Effort((BODY_TOUCH, 0.02), 0, 6),
+    Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 600, 4),
+    Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 4000, 12),
+)
+STANCES = (
+    Stance(40, 64),
+    Stance(28, 64),
+    Stance(50, 70),
+    Stance(16, 50),
+    Stance(34, 30),
+    Stance(4, 40),
+    Stance(58, 76),
+)
+#: From the likeliest on; none misses the target by more than its radius.
+GOALS = (
+    Goal(),
+    Goal(slope=-10, up=0.01),
+    Goal(slope=4),
+    Goal(ahead=-0.05),
+    Goal(aside=0.04),
+    Goal(aside=-0.04),
+    Goal(up=0.02, slope=-6),
+    Goal(turn=12),
+    Goal(turn=-12),
+    Goal(ahead=-0.05, slope=8, up=0.01),
+    Goal(ahead=-0.06, up=0.03, slope=-18),
+    Goal(ahead=-0.06, up=0.04, slope=-26),
+    Goal(aside=0.05, turn=15),
+    Goal(aside=-0.05, turn=-15),
+    Goal(ahead=-0.07, up=-0.01),
+    Goal(aside=0.06, ahead=-0.04),
+    Goal(aside=-0.06, ahead=-0.04),
+    Goal(aside=0.04, turn=25),
+    Goal(aside=-0.04, turn=-25),
+    Goal(ahead=-0.04, aside=0.05, up=0.03, slope=-20),
+    Goal(ahead=-0.04, aside=-0.05, up=0.03, slope=-20),
+)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A joint path that brings both plates under the body.
+
+    Attributes:
+        path: Angles from the start to the goal (m, 11) [rad].
+        found: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
+    """
+
+    path: Array
+    found: str
+
+
+class ApproachPlanner:
+    """Yields ways for one scene, the likeliest first."""
+
+    def __init__(self, checker: CollisionChecker, env: LunarRescueEnv, rng: np.random.Generator) -> None:
+        """Plan for the episode that has just begun in ``env``, whose scene the checker has too."""
+        self._checker, self._rng = checker, rng
+        self._start = env.episode.robot.angles.copy()
+        window = env.robot.initial - env.robot.window, env.robot.initial + env.robot.window
+        self._lower = np.maximum(env.robot.lower, window[0]) + 1e-4
+        self._upper = np.minimum(env.robot.upper, window[1]) - 1e-4
+        to_base = env.episode.observer.to_base
+        self.targets = to_base(env.episode.targets())
+        ways_in = to_base(env.episode.entries()) - self.targets
+        self._lengths = np.linalg.norm(ways_in, axis=1)
+        self._solved: dict[Stance, list[tuple[Array, Array]]] = {}
+
+    def ways(self) -> Iterator[Way]:
+        """Ways that are free of collision."""
+        end_of_checks = self._checker.checks + CHECKS
+        tasks = ((effort, touch, stance) for effort in EFFORTS for touch in effort.touches for stance in STANCES)
+        for effort, touch, stance in tasks:
+            for slide in islice(self._slides(stance, touch), effort.slides):
+                if self._checker.checks > end_of_checks:
+                    return
+                way = self._reach(slide, effort.draws)
+                if way is not None and length(way.path) <= LONGEST:
+                    yield way
+                    break
+
+    # -- slides ------------------------------------------------------------------------------------------------------
+    def _waists(self, stance: Stance) -> Array:
+        """Waist angle from the hover on, at each place of the slide (SLIDE_STEPS + 1,) [rad]."""
+        back = self._backs(float(self._lengths.max()))
+        degrees = np.concatenate([[stance.under - stance.lean * back[0] - 8], stance.under - stance.lean * back])
+        return np.clip(np.radians(degrees), self._lower[WAIST], self._upper[WAIST])
+
+    def _backs(self, longest: float) -> Array:
+        """How far before its goal a plate is at each place of the slide (SLIDE_STEPS,) [m]."""
+        return np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
+
+    def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
+        """Ways of both arms to goals, free ones only: whole, with a hover above the entry first, or their last part."""
+        free, waists = self._checker.free, self._waists(stance)
+        if stance not in self._solved:
+            self._solved[stance] = [
+                self._solve(a, target, waists) for a, target in zip(ARMS, self.targets, strict=True)
+            ]
+        solved = self._solved[stance]
+        good = [np.flatnonzero(misses < REACHED) for _, misses in solved]
+        # A pair of goals is as likely as its less likely one; its end is checked first, where most pairs fail.
+        pairs = sorted(((i, j) for i in good[0] for j in good[1]), key=lambda p: (max(p), sum(p)))
+        for i, j in pairs:
+            path = np.column_stack([solved[0][0][i], solved[1][0][j], waists])
+            self._checker.body_touch = touch
+            begin = next((k for k in BEGINS if all(map(free, path[: k - 1 : -1])) and path_is_free(path[k:], free)), 0)
+            # What comes before is in the open, where nothing needs to be touched.
+            self._checker.body_touch = OPEN_TOUCH
+            if begin and free(path[begin]):
+                yield path if begin == 1 else path[begin:]
+
+    def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
+        """Ways to all goals (n, SLIDE_STEPS + 1, 5) [rad] and how far they miss them (n,) [m]."""
+        turns = np.radians([goal.turn for goal in GOALS])
+        ahead = np.column_stack([np.cos(turns), arm.side * np.sin(turns), np.zeros(len(turns))])
+        ends = target + np.array([[goal.ahead, arm.side * goal.aside, goal.up] for goal in GOALS])
+        slopes = np.array([goal.slope for goal in GOALS])
+        backs = self._backs(float(self._lengths.max()))
+        places = [ends - backs[0] * ahead + [0.0, 0.0, 0.40], *(ends - back * ahead for back in backs)]
+        tilts = [np.full(len(GOALS), 20.0), *(slopes - 6.0 * back / backs[0] for back in backs)]
+        angles = np.tile(self._start[arm.joints], (len(GOALS), 1))
+        rows = []
+        for place, tilt, waist in zip(places, tilts, waists, strict=True):
+            angles, misses = self._solve_low(arm, place, np.radians(tilt), np.full(len(GOALS), waist), angles)
+            rows.append(angles)
+        return np.stack(rows, axis=1), misses
+
+    def _solve_low(self, arm: Arm, places: Array, slopes: Array, waists: Array, starts: Array) -> tuple[Array, Array]:
+        """Solve, then again with the ends so much higher that no tip is in the ground."""
+        bounds = self._lower[arm.joints], self._upper[arm.joints]
+        angles, misses = solve_arms(places, slopes, waists, arm.side, starts, *bounds)
+        tips = plate_tips(waists, angles, arm.side)
+        missing = np.maximum(0.0, TIP_HEIGHT - tips[:, 2])
+        if missing.any():
+            higher = places + missing[:, None] * [0.0, 0.0, 1.0]
+            angles, misses = solve_arms(higher, slopes, waists, arm.side, angles, *bounds)
+        return angles, misses
+
+    # -- the way to where the slide begins ---------------------------------------------------------------------------
+    def _reach(self, slide: Array, draws: int) -> Way | None:
+        """Complete a slide by a way from the start to its beginning."""
+        free = self._checker.free
+        rest = slide
+        if len(slide) == SLIDE_STEPS + 1:
+            hover, rest = slide[0], slide[1:]
+            if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, rest[0], free):
+                return Way(np.concatenate([self._start[None], slide]), "straight")
+        if not draws:
+            return None
+        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=draws)
+        if way is None:
+            return None
+        return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")

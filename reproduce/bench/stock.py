@@ -1,0 +1,141 @@
+"""HRL-DCS with stock parts: SB3's SubprocVecEnv and sb3-contrib's RecurrentPPO, to compare our parts' speed with.
+
+The same environments, networks, rollouts, batches and epochs; only who steps and who learns differ. It is for ``bench``
+alone: SGN's decisions are cut to a rectangle, as a stock buffer wants, so it is not meant to learn well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from sb3_contrib import RecurrentPPO
+from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
+from sb3_contrib.common.recurrent.type_aliases import RNNStates
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from lunar_rescue import LunarRescueEnv
+from lunar_rescue.observation import BOUND, SIZE
+from lunar_rescue.physics.robot import JOINTS
+from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
+from reproduce.hrl_dcs.training import make_learner, rescue_goals, sgn_space, sub_goal_view
+from reproduce.learning.config import TrainingConfig
+from reproduce.learning.training import OnlySpaces, start_collecting
+from reproduce.learning.workers import TERMS
+
+
+class FlatEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """The environment with its flat observation, as SB3's vectorised environments want it."""
+
+    def __init__(self) -> None:
+        """Make the environment."""
+        self._env = LunarRescueEnv()
+        self.observation_space = spaces.Box(-BOUND, BOUND, (SIZE,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode on a training scene."""
+        return self._env.reset_flat(None, options)
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Take a step."""
+        return self._env.step_flat(action)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._env.close()
+
+
+class TermsFromInfos(VecEnvWrapper):
+    """Reward terms of the last step as an array, which our workers share and stock ones put into infos.
+
+    Attributes:
+        terms: (n, len(TERMS)).
+    """
+
+    def __init__(self, venv: VecEnv) -> None:
+        """Wrap."""
+        super().__init__(venv)
+        self.terms = np.zeros((venv.num_envs, len(TERMS)), np.float32)
+
+    def reset(self) -> Any:
+        """Begin new episodes."""
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Wait, and gather the terms."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self.terms[:] = [[info["reward_terms"][name] for name in TERMS] for info in infos]
+        return observations, rewards, dones, infos
+
+
+class StockTraining:
+    """One training with stock parts; ``update`` is one rollout and one training of each layer."""
+
+    def __init__(self, config: TrainingConfig, seed: int) -> None:
+        """Start environments and learners."""
+        self.config = config
+        workers = SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver")
+        venv = TermsFromInfos(workers)
+        self.rows = config.low.n_steps // config.hierarchy.interval - 1
+        make = partial(make_learner, seed=seed, kind=RecurrentPPO)
+        goals = rescue_goals(config)
+        high_env = OnlySpaces(venv.observation_space, sgn_space(goals), config.n_envs)
+        self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
+        self.env = sub_goal_view(venv, self.sgn.policy, goals, config)
+        self.lln: Any = make(self.env, config.low, bounded_mean=False)
+        self._callback = start_collecting(self.lln, config.steps)
+
+    def collect(self) -> None:
+        """Take one rollout."""
+        self.lln.collect_rollouts(self.env, self._callback, self.lln.rollout_buffer, self.config.low.n_steps)
+
+    def update(self) -> None:
+        """Collect and learn."""
+        self.collect()
+        self.lln.train()
+        fill_buffer(self.sgn.rollout_buffer, self.env, self.rows)
+        self.sgn.train()
+
+    def close(self) -> None:
+        """Stop the environments."""
+        self.env.close()
+
+
+def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -> None:
+    """SGN's first decisions of every environment as a stock buffer, and none left behind."""
+    made = env.recorder.decisions
+    buffer.reset()
+    for row in range(rows):
+        at = [decisions[min(row, len(decisions) - 1)] for decisions in made]
+        hidden = th.from_numpy(np.stack([d.hidden for d in at])).unsqueeze(0)
+        pair = (hidden[:, :, 0].contiguous(), hidden[:, :, 1].contiguous())
+        buffer.add(
+            np.stack([d.observation for d in at]),
+            np.stack([d.output for d in at]),
+            np.array([d.reward for d in at], np.float32),
+            np.array([d.start for d in at], np.float32),
+            th.tensor([d.value for d in at]),
+            th.tensor([d.log_prob for d in at]),
+            lstm_states=RNNStates(pair, pair),
+        )
+    buffer.compute_returns_and_advantage(th.zeros(len(made)), np.zeros(len(made)))
+    for index, decisions in enumerate(made):
+        made[index] = decisions[-1:]
+
+
+def copy_rollout(source: RecurrentRolloutBuffer, target: RecurrentRolloutBuffer) -> None:
+    """The same transitions in another learner's buffer."""
+    for name, value in vars(source).items():
+        if isinstance(value, np.ndarray):
+            setattr(target, name, value.copy())
+    target.pos, target.full, target.generator_ready = source.pos, source.full, False

@@ -1,0 +1,1 @@
+"""Section 4: the registry of methods, training, evaluation, tuning and the batch."""

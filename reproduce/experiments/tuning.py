@@ -1,0 +1,118 @@
+"""Tuning trials: short trainings, judged on validation scenes, as many for each baseline (``trials``).
+
+Trainings and scenes are easy ones (``learning.workers.easy_scene``): on all scenes a flat method rescues next to
+nobody in as many steps as a trial can have, and all trials would look alike. A trial is judged by the share of the two
+processes of a rescue that its policy completes: half for both arms under, half for the rescue. Schedules are scaled to
+the trial's length.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from lunar_rescue import ENVIRONMENT_VERSION
+from lunar_rescue.scenes.splits import VALIDATION
+from reproduce.analysis.runs import COMMITTED, RESULTS
+from reproduce.experiments.evaluate import evaluate
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.train import train
+from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
+from reproduce.learning.config import PRESETS
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import write_text
+from reproduce.storage.provenance import record_origin
+
+PRESET = "laptop"
+SCENES = "easy"
+TUNING = "trials/tuning"  # in results/
+
+
+def tune(
+    method: str,
+    steps: int = 300_000,
+    tests: int = 100,
+    tell: Callable[[str], None] = print,
+    quiet: bool = False,
+    results: Path = RESULTS,
+) -> pd.DataFrame:
+    """Make the trials of a method that were not made yet; write and return the table of all.
+
+    Args:
+        method: One with trials in ``reproduce.experiments.trials``.
+        steps: Environment steps of a trial.
+        tests: Easy validation scenes after it.
+        tell: Gets a line a trial.
+        quiet: No progress bars.
+        results: Where ``trials/tuning/METHOD.csv`` is written.
+
+    Raises:
+        UserError: When the method has no trials, or a number is out of range.
+    """
+    if method not in TRIALS:
+        raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
+    if steps < 1 or tests < 1:
+        raise UserError(f"--steps, --tests: expected at least 1, got {steps} and {tests}")
+    path = results / TUNING / f"{method}.csv"
+    found: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    made: dict[str, dict[str, Any]] = {}
+    wanted = {trial.name: _conditions(trial, steps, tests) for trial in TRIALS[method]}
+    for row in found:
+        if all(str(row.get(key)) == str(value) for key, value in wanted.get(row["trial"], {"trial": None}).items()):
+            made[row["trial"]] = row
+    for trial in TRIALS[method]:
+        if trial.name not in made:
+            made[trial.name] = {**wanted[trial.name], **_measure(method, trial, steps, tests, quiet)}
+            rows = [made[name] for name in wanted if name in made]
+            write_text(path, pd.DataFrame(rows).to_csv(index=False))
+            record_origin(path)
+        tell(f"{method}, {trial.name}: score {made[trial.name]['score']:.3f}")
+    return pd.DataFrame([made[name] for name in wanted])
+
+
+def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
+    """What makes two trials the same, so that tuning can be gone on with."""
+    return {
+        "trial": trial.name,
+        "changes": json.dumps(dict(trial.changes), sort_keys=True),
+        "steps": steps,
+        "tests": tests,
+        "scenes": SCENES,
+        "environment_version": ENVIRONMENT_VERSION,
+    }
+
+
+def _measure(method: str, trial: Trial, steps: int, tests: int, quiet: bool) -> dict[str, Any]:
+    config = replace(trial.config(PRESETS[PRESET]), steps=steps, scenes=SCENES)
+    with tempfile.TemporaryDirectory() as folder:
+        curve = train(METHODS[method], config, 0, Path(folder) / method, PRESET, quiet=quiet)
+        found = evaluate(Path(folder) / method, tests, VALIDATION.start, quiet=quiet, easy=True)
+    return {
+        "score": (found["both_arms_under"] + found["success_rate"]) / 2,
+        "both_arms_under": found["both_arms_under"],
+        "success_rate": found["success_rate"],
+        "mean_return": round(found["mean_return"], 4),
+        "seconds": round(float(curve["seconds"].iloc[-1]), 1),
+    }
+
+
+def tuning_table(results: Path = COMMITTED) -> pd.DataFrame:
+    """All trials that were made: score and rates of each by method and trial, and which one was chosen."""
+    tables = []
+    for method in TRIALS:
+        path = results / TUNING / f"{method}.csv"
+        if path.is_file():
+            table = pd.read_csv(path)
+            table.insert(0, "method", METHODS[method].title)
+            table["chosen"] = ["x" if name == CHOSEN[method] else "" for name in table["trial"]]
+            tables.append(table)
+    if not tables:
+        return pd.DataFrame(columns=["score", "chosen"])
+    columns = ["score", "both_arms_under", "success_rate", "steps", "tests", "seconds", "chosen"]
+    return pd.concat(tables).set_index(["method", "trial"])[columns]

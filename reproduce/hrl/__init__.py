@@ -1,1 +1,0 @@
-"""The two-layer method: networks, sub-goals, hierarchy."""

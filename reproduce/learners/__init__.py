@@ -1,1 +1,0 @@
-"""Learners: recurrent PPO over whole sequences."""

@@ -1,0 +1,1 @@
+"""What all methods share: configuration, workers, mirrored view, actions, networks and the sequence learner."""

@@ -1,0 +1,156 @@
+"""One view of two scenes that are mirror images: the astronaut's head always lies on arm A's side.
+
+The robot is its own mirror image, and so is a rescue: what arm A does for a head on the left, arm B does for a head on
+the right. Every learner therefore sees, and acts in, a frame that is reflected where the head lies on arm B's side
+when the episode begins, so that it learns half as many different rescues. It is a change of coordinates of observation
+and action, exact and the same for all methods that learn; the environment knows nothing of it.
+
+A reflection at the robot's plane of symmetry swaps the arms and left and right limbs and turns y of points and
+directions round. Spin is an axial vector, and the astronaut's left axis becomes the right one of the mirror image, so
+of these x and z turn round instead. Joint angles are counted alike for both arms (``lunar_rescue.kinematics``), so they
+are swapped and keep their signs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from lunar_rescue.observation import GROUND_POINTS, SIZE, SLICES
+from lunar_rescue.scenes.rocks import MAX_ROCKS
+from lunar_rescue.scenes.suit import KEYPOINT_NAMES
+from reproduce.learning.workers import WorkerVecEnv
+
+Floats = NDArray[np.float32]
+
+POLAR = (1.0, -1.0, 1.0)  # points and directions
+AXIAL = (-1.0, 1.0, -1.0)
+
+#: Where each joint's action comes from: arm B's, arm A's, the waist's own.
+ACTIONS = np.r_[5:10, 0:5, 10]
+
+
+def _observation_map() -> tuple[NDArray[np.int64], Floats]:
+    """Where each entry of a mirrored observation comes from, and its sign."""
+    source, sign = np.arange(SIZE), np.ones(SIZE, np.float32)
+
+    def put(key: str, order: Any, signs: Any = 1.0) -> None:
+        where = SLICES[key]
+        source[where], sign[where] = where.start + np.asarray(order), signs
+
+    arm_a, arm_b = SLICES["P_A"], SLICES["P_B"]
+    source[arm_a], source[arm_b] = np.arange(arm_b.start, arm_b.stop), np.arange(arm_a.start, arm_a.stop)
+    sign[arm_a] = sign[arm_b] = [1.0] * 15 + [*POLAR] * 2  # angles, speeds, torques; end, direction
+    put("P_G", np.arange(18).reshape(3, 2, 3)[:, ::-1].ravel(), [*POLAR] * 6)
+    points = 15 + 3 * np.array([KEYPOINT_NAMES.index(_other(name)) for name in KEYPOINT_NAMES])
+    body = [*POLAR, *POLAR, *AXIAL, *POLAR, *AXIAL]  # centre, front, left, velocity, spin
+    put("P_P", [*range(15), *(points[:, None] + np.arange(3)).ravel()], body + [*POLAR] * len(KEYPOINT_NAMES))
+    put("P_E", np.arange(5 * MAX_ROCKS), [*POLAR, 1.0, 1.0] * MAX_ROCKS)
+    ground = 3 + np.arange(2 * GROUND_POINTS).reshape(2, GROUND_POINTS)[::-1].ravel()
+    put("P_T", [0, 1, 2, *ground], [*POLAR] + [1.0] * 2 * GROUND_POINTS)
+    put("P_R", np.arange(4), [1.0, -1.0, 1.0, -1.0])  # x, y, cos and sin of the heading
+    put("a_prev", ACTIONS)
+    return source, sign
+
+
+def _other(name: str) -> str:
+    if name.startswith("left"):
+        return name.replace("left", "right")
+    return name.replace("right", "left")
+
+
+_SOURCE, _SIGN = _observation_map()
+_HEAD = SLICES["P_P"].start + 15 + 3 * KEYPOINT_NAMES.index("head") + 1  # y of the head
+_CENTRE = SLICES["P_P"].start + 1  # y of the centre of gravity
+
+
+def mirror_observations(observations: Floats) -> Floats:
+    """Observations (n, SIZE) as they would be in the mirror image; twice gives what was there."""
+    return observations[:, _SOURCE] * _SIGN
+
+
+def mirror_actions(actions: Floats) -> Floats:
+    """Actions (n, JOINTS) for the mirror image."""
+    return actions[:, ACTIONS]
+
+
+def mirror_points(points: Floats) -> Floats:
+    """A point per arm, (n, 2, 3) [m], in the mirror image."""
+    return points[:, ::-1] * np.array(POLAR, np.float32)
+
+
+class Mirror:
+    """Which of several environments are seen mirrored; decided when an episode begins."""
+
+    def __init__(self, count: int) -> None:
+        """Start with none."""
+        self.mirrored = np.zeros(count, bool)
+
+    def begin(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
+        """Decide for environments that begin an episode with these observations (n, SIZE)."""
+        self.mirrored = np.where(starts, observations[:, _HEAD] < observations[:, _CENTRE], self.mirrored)
+
+    def observations(self, observations: Floats) -> Floats:
+        """As the learner sees them, (n, SIZE)."""
+        return np.where(self.mirrored[:, None], mirror_observations(observations), observations)
+
+    def actions(self, actions: Floats) -> Floats:
+        """What the learner wants, as the environments want it (and the other way round), (n, JOINTS)."""
+        return np.where(self.mirrored[:, None], mirror_actions(actions), actions)
+
+    def points(self, points: Floats) -> Floats:
+        """What the learner points at, as it lies in the environments, (n, 2, 3) [m]."""
+        return np.where(self.mirrored[:, None, None], mirror_points(points), points)
+
+
+class MirroredVecEnv(VecEnvWrapper):
+    """Sixteen environments in the learner's view."""
+
+    venv: WorkerVecEnv
+
+    def __init__(self, venv: WorkerVecEnv) -> None:
+        """Wrap environments."""
+        super().__init__(venv)
+        self._mirror = Mirror(venv.num_envs)
+        self._everything = np.ones(venv.num_envs, bool)
+
+    @property
+    def terms(self) -> Floats:
+        """Reward terms of the last step, (n, terms); no term knows left from right."""
+        return self.venv.terms
+
+    @property
+    def epoch(self) -> int:
+        """See ``WorkerVecEnv``."""
+        return self.venv.epoch
+
+    @epoch.setter
+    def epoch(self, value: int) -> None:
+        self.venv.epoch = value
+
+    def reset(self) -> Floats:
+        """Begin new episodes everywhere."""
+        observations = self.venv.reset()
+        self._mirror.begin(observations, self._everything)
+        return self._mirror.observations(observations)
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Send Eq. 3's actions (n, JOINTS)."""
+        self.venv.step_async(self._mirror.actions(actions))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Wait for all workers; an ended episode's last observation, in its info, is seen as the episode was."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        for index in np.flatnonzero(dones):
+            if self._mirror.mirrored[index]:
+                last = infos[index]["terminal_observation"]
+                infos[index]["terminal_observation"] = mirror_observations(last[None])[0]
+        self._mirror.begin(observations, dones)
+        return self._mirror.observations(observations), rewards, dones, infos
+
+
+Environments = WorkerVecEnv | MirroredVecEnv

@@ -1,0 +1,233 @@
+"""sb3-contrib's RecurrentPPO, its algorithm unchanged, fed whole sequences.
+
+The stock learner loops over time in Python whenever an episode starts inside a padded sequence. Here sequences are cut
+at episode starts, so one fused LSTM call serves a minibatch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from sb3_contrib import RecurrentPPO
+from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
+from stable_baselines3.common.utils import explained_variance
+from torch.nn import functional
+
+from reproduce.learning.sequences import Minibatch, Rollout, minibatches, sequence_bounds
+from reproduce.learning.standardiser import Standardiser
+from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
+
+RATE_STEP = 1.2  # by which the learning rate changes after an update, where it follows the KL
+LEAST_FACTOR = 1.0 / 30.0
+
+
+class SequencePPO(RecurrentPPO):
+    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM."""
+
+    def __init__(
+        self,
+        *args: Any,
+        sequence_length: int = 32,
+        log_std_line: tuple[float, float, float] | None = None,
+        desired_kl: tuple[float, float] = (0.0, 0.0),
+        **kwargs: Any,
+    ) -> None:
+        """As RecurrentPPO.
+
+        Args:
+            *args: See ``RecurrentPPO``.
+            sequence_length: Most steps that the gradient flows back through time.
+            log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
+                and the share of the training at which it has come down.
+            desired_kl: At the beginning and at the end of the training, on a line between. Where positive, the learning
+                rate is the schedule's times a factor in [1 / 30, 1] that falls when an update's approximate KL is over
+                twice this and rises when it is under half.
+            **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
+        """
+        if sequence_length < 1:
+            raise ValueError(f"sequence_length: expected at least 1, got {sequence_length!r}")
+        self.sequence_length = sequence_length
+        self.log_std_line, self.desired_kl = log_std_line, desired_kl
+        self.rate_factor = 1.0
+        #: Set to train on transitions that were collected elsewhere (the high level collects in its wrapper).
+        self.external_rollout: Rollout | None = None
+        #: After which steps returns are cut although the episode and the memory go on, (n_steps, n_envs).
+        self.return_cuts: NDArray[np.bool_] | None = None
+        super().__init__(*args, **kwargs)
+        self.batch_rng = np.random.default_rng(self.seed)
+
+    def kept_tensors(self) -> dict[str, th.Tensor]:
+        """See ``reproduce.storage.checkpoint.Learner``."""
+        return {**module_tensors("policy", self.policy), **optimizer_tensors("optimizer", self.policy.optimizer)}
+
+    def kept_numbers(self) -> dict[str, Any]:
+        """See ``reproduce.storage.checkpoint.Learner``."""
+        return {"batch_rng": self.batch_rng.bit_generator.state, "rate_factor": self.rate_factor}
+
+    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+        """See ``reproduce.storage.checkpoint.Learner``."""
+        restore_module("policy", self.policy, tensors)
+        restore_optimizer("optimizer", self.policy.optimizer, tensors)
+        self.batch_rng.bit_generator.state = numbers["batch_rng"]
+        self.rate_factor = float(numbers["rate_factor"])
+
+    def rollout(self) -> Rollout:
+        """The transitions to train on, environments end to end."""
+        if self.external_rollout is not None:
+            return self.external_rollout
+        buffer = self.rollout_buffer
+        assert isinstance(buffer, RecurrentRolloutBuffer)
+        steps, envs = buffer.buffer_size, buffer.n_envs
+        starts = buffer.episode_starts.astype(bool)
+        bounds = [b for i in range(envs) for b in sequence_bounds(starts[:, i], i * steps, self.sequence_length)]
+        hidden = np.stack([buffer.hidden_states_pi[:, 0], buffer.cell_states_pi[:, 0]], axis=2)  # (t, n, 2, h)
+        # An episode begins with an empty memory, whatever the state before it was.
+        hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
+        if self.return_cuts is not None:
+            self._cut_returns(buffer, self.return_cuts)
+        return Rollout(
+            observations=_env_major(buffer.observations),
+            actions=_env_major(buffer.actions),
+            log_probs=_env_major(buffer.log_probs),
+            values=_env_major(buffer.values),
+            advantages=_env_major(buffer.advantages),
+            returns=_env_major(buffer.returns),
+            hidden=_env_major(hidden),
+            bounds=np.array(bounds, dtype=np.int64),
+        )
+
+    def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
+        """Advantages and returns anew, with nothing flowing back over a cut."""
+        running = np.zeros(buffer.n_envs, np.float32)
+        # What follows the last step is in the advantages that SB3 computed: A = r + gamma V' - V there.
+        last = buffer.advantages[-1]
+        for t in reversed(range(buffer.buffer_size)):
+            going_on = ~cuts[t]
+            if t == buffer.buffer_size - 1:
+                running = np.where(going_on, last, buffer.rewards[t] - buffer.values[t])
+            else:
+                delta = buffer.rewards[t] + self.gamma * buffer.values[t + 1] * going_on - buffer.values[t]
+                running = delta + self.gamma * self.gae_lambda * going_on * running
+            buffer.advantages[t] = running
+        buffer.returns = buffer.advantages + buffer.values
+
+    def train(self) -> None:
+        """Take ``n_epochs`` passes over the rollout; losses as in RecurrentPPO."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        for group in self.policy.optimizer.param_groups:
+            group["lr"] *= self.rate_factor
+        rollout = self.rollout()
+        tensors = {
+            name: th.from_numpy(getattr(rollout, name))
+            for name in ("actions", "log_probs", "values", "advantages", "returns")
+        }
+        logs: list[dict[str, float]] = []
+        for _ in range(self.n_epochs):
+            for batch in minibatches(rollout, self.batch_size or len(rollout), self.batch_rng):
+                loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in tensors.items()})
+                logs.append(log)
+                if self.target_kl is not None and log["approx_kl"] > 1.5 * self.target_kl:
+                    break
+                self.policy.optimizer.zero_grad()
+                loss.backward()
+                th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+                self.policy.optimizer.step()
+            else:
+                self._n_updates += 1
+                continue
+            break
+        self._limit_noise()
+        self._observe(rollout)
+        self._record(rollout, logs)
+        if self.desired_kl[0] > 0.0:
+            self._follow_kl(float(np.mean([log["approx_kl"] for log in logs])))
+
+    @th.no_grad()
+    def _limit_noise(self) -> None:
+        """Keep exploration under its line; what is learnt below it stays."""
+        if self.log_std_line is not None:
+            first, last, share = self.log_std_line
+            gone = min(1.0, (1.0 - self._current_progress_remaining) / share)
+            if last < first:
+                self.policy.log_std.clamp_(max=first + gone * (last - first))
+
+    def _follow_kl(self, kl: float) -> None:
+        """A fixed rate makes steps that are too large once exploration is small."""
+        first, last = self.desired_kl
+        desired = last + self._current_progress_remaining * (first - last)
+        if kl > 2.0 * desired:
+            self.rate_factor = max(self.rate_factor / RATE_STEP, LEAST_FACTOR)
+        elif kl < 0.5 * desired:
+            self.rate_factor = min(self.rate_factor * RATE_STEP, 1.0)
+
+    def _observe(self, rollout: Rollout) -> None:
+        """Let standardisers see the rollout, after training, so that its log probabilities stay what they were."""
+        for module in self.policy.modules():
+            if isinstance(module, Standardiser):
+                module.observe(th.from_numpy(rollout.observations))
+
+    def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
+        """PPO's loss of one minibatch and what is worth logging."""
+        progress = self._current_progress_remaining
+        clip = self.clip_range(progress)  # type: ignore[operator]
+        values, log_prob, entropy = self.evaluate_sequences(batch, data["actions"])
+        advantages = data["advantages"]
+        if self.normalize_advantage:
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        ratio = th.exp(log_prob - data["log_probs"])
+        policy_loss = -th.min(advantages * ratio, advantages * th.clamp(ratio, 1 - clip, 1 + clip)).mean()
+        predicted = values
+        if self.clip_range_vf is not None:
+            most = self.clip_range_vf(progress)  # type: ignore[operator]
+            predicted = data["values"] + th.clamp(values - data["values"], -most, most)
+        value_loss = functional.mse_loss(data["returns"], predicted)
+        entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
+        loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
+        with th.no_grad():
+            log_ratio = log_prob.detach() - data["log_probs"]
+            log = {
+                "loss": float(loss.detach()),
+                "policy_gradient_loss": float(policy_loss.detach()),
+                "value_loss": float(value_loss.detach()),
+                "entropy_loss": float(entropy_loss.detach()),
+                "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
+                "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
+            }
+        return loss, log
+
+    def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
+        """Values, log probabilities and entropies of the real transitions of a minibatch, one LSTM call."""
+        policy: Any = self.policy  # sb3-contrib types its parts too loosely to follow
+        features = policy.extract_features(batch.observations.flatten(0, 1))
+        pi_features, vf_features = (features, features) if policy.share_features_extractor else features
+        length, count = batch.mask.shape
+        memory, _ = policy.lstm_actor(pi_features.view(length, count, -1), batch.hidden)
+        memory = memory[batch.mask]
+        if policy.lstm_critic is not None:
+            raise ValueError(
+                "SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic"
+            )
+        if policy.shared_lstm:
+            latent_vf = memory.detach()
+        else:
+            latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
+        distribution = policy._get_action_dist_from_latent(policy.mlp_extractor.forward_actor(memory))
+        values = policy.value_net(policy.mlp_extractor.forward_critic(latent_vf)).flatten()
+        return values, distribution.log_prob(actions), distribution.entropy()
+
+    def _record(self, rollout: Rollout, logs: list[dict[str, float]]) -> None:
+        for name in logs[0]:
+            self.logger.record(f"train/{name}", float(np.mean([log[name] for log in logs])))
+        self.logger.record("train/explained_variance", float(explained_variance(rollout.values, rollout.returns)))
+        self.logger.record("train/std", float(th.exp(self.policy.log_std.detach()).mean()))
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+
+
+def _env_major(array: Any) -> Any:
+    """(t, n, ...) to (n * t, ...), float32, each environment's steps together."""
+    swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
+    return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))

@@ -1,0 +1,179 @@
+"""What the trainings of all methods share: environments, schedules, summaries of episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from lunar_rescue.scenes.postures import Posture, postures
+from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.mirror import Environments, MirroredVecEnv
+from reproduce.learning.workers import EnvOptions, WorkerVecEnv
+
+
+def make_environments(config: TrainingConfig, seed: int) -> Environments:
+    """The environments of a training, as learners see them, with the postures of its curriculum."""
+    arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
+    drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
+    options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else (), config.scenes == "easy")
+    venv = WorkerVecEnv(config.n_envs, seed, options)
+    return MirroredVecEnv(venv) if config.mirrored else venv
+
+
+def _weight(posture: Posture, lying_weight: int) -> int:
+    """How many times as often as a posture on a side one is drawn in training."""
+    return 1 if posture.attitude.endswith("side") else lying_weight
+
+
+def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
+    """What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
+    return {
+        "learning_rate": lambda left: (
+            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
+        ),
+        "n_steps": config.n_steps,
+        "batch_size": config.batch_size,
+        "n_epochs": config.n_epochs,
+        "gamma": config.gamma,
+        "gae_lambda": config.gae_lambda,
+        "clip_range": config.clip_range,
+        "ent_coef": config.ent_coef,
+        "vf_coef": config.vf_coef,
+        "max_grad_norm": config.max_grad_norm,
+        "device": "cpu",
+    }
+
+
+def own_arguments(config: LearnerConfig) -> dict[str, Any]:
+    """What only ``SequencePPO`` and its subclasses take."""
+    return {
+        "sequence_length": config.sequence_length,
+        "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
+        "desired_kl": (config.desired_kl, config.final_desired_kl),
+    }
+
+
+def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
+    """Reset the learner's environments and memory, as ``learn`` does before it collects."""
+    learner._last_obs = None
+    _, made = learner._setup_learn(steps, callback, reset_num_timesteps=callback is None)
+    if hasattr(learner, "_last_lstm_states"):
+        for pair in learner._last_lstm_states:
+            for state in pair:
+                state.zero_()
+    return callback or made
+
+
+def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
+    """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
+    known = postures()
+    shares = [1.0 / _weight(known[e["posture"]], lying_weight) if "posture" in e else 1.0 for e in episodes]
+
+    def mean(key: str) -> float:
+        values = [float(e.get(key, "nan")) for e in episodes]
+        return float(np.average(values, weights=shares)) if episodes else float("nan")
+
+    return {
+        "episodes": len(episodes),
+        "success": mean("is_success"),
+        "both_arms_under": mean("both_arms_under"),
+        "return_high": mean("exr"),
+        "return_low": mean("inr"),
+        "episode_steps": mean("steps"),
+    }
+
+
+class CollectedTraining:
+    """What all trainings share; a subclass makes the learners and says what an update does.
+
+    Attributes:
+        config: The configuration.
+        venv: The environments.
+        env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
+        learners: All learners by level.
+        logged: What of each learner's log goes into ``progress.csv``.
+    """
+
+    logged: tuple[str, ...] = ()
+
+    def __init__(
+        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any]
+    ) -> None:
+        """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
+        self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self._collector = collector
+        self.callback = start_collecting(collector, config.steps)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps of one update."""
+        return self.config.low.n_steps * self.config.n_envs
+
+    def restart(self, update: int) -> None:
+        """Begin new episodes with empty memories; what a resumed run does too."""
+        self.venv.epoch = update
+        start_collecting(self._collector, self.config.steps, self.callback)
+
+    def follow_schedule(self, done: int) -> None:
+        """Tell the learners which share of the training is done."""
+        for learner in self.learners.values():
+            learner._current_progress_remaining = max(0.0, 1.0 - done / self.config.steps)
+
+    def row(self) -> dict[str, Any]:
+        """The row of ``progress.csv`` for what happened since the last one."""
+        row = episode_summary(self.env.episodes, self.config.lying_weight)
+        self.env.episodes = []
+        for name, learner in self.learners.items():
+            for key in self.logged:
+                row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
+        return row
+
+    def acting(self) -> dict[str, Any]:
+        """What else than networks is needed to act, plain data."""
+        return {}
+
+    def close(self) -> None:
+        """Stop the environments."""
+        self.venv.close()
+
+
+class RecurrentTraining(CollectedTraining):
+    """What trainings with recurrent PPO share."""
+
+    logged = ("approx_kl", "explained_variance", "std", "value_loss")
+
+    def collect(self, done: int) -> None:
+        """Take one rollout; ``done`` steps were taken before."""
+        self.follow_schedule(done)
+        steps = self.config.low.n_steps
+        self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
+
+
+class OnlySpaces(VecEnv):
+    """Spaces for a learner whose transitions are collected elsewhere; it is never stepped."""
+
+    def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any], count: int) -> None:
+        """Keep the spaces."""
+        self.render_mode = None
+        super().__init__(count, observation_space, action_space)
+
+    def _never(self, *args: Any, **kwargs: Any) -> Any:
+        raise RuntimeError("OnlySpaces: this learner's transitions are collected by SubGoalVecEnv")
+
+    reset = step_async = step_wait = set_attr = env_method = _never
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Only ``render_mode``, which SB3 asks for."""
+        return [None] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Nothing is wrapped."""
+        return [False] * self.num_envs

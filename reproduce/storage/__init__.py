@@ -1,0 +1,1 @@
+"""What lies under all: files, errors, provenance, policies and checkpoints."""

@@ -1,0 +1,151 @@
+"""Checkpoints: one safetensors file, written atomically, with what every learner must keep, random states and counters.
+
+Environments begin anew at a checkpoint, also in a run that is not interrupted, so a resumed run repeats it bit for bit.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import torch as th
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import write_atomically
+from reproduce.storage.policies import read_tensors
+
+NAME = "checkpoint.safetensors"
+VERSION = 3
+LARGEST = 8_000_000_000  # bytes; a large replay buffer is in it
+
+
+class Learner(Protocol):
+    """What can be kept in a checkpoint."""
+
+    def kept_tensors(self) -> dict[str, th.Tensor]:
+        """All arrays that learning goes on from, by name."""
+        ...
+
+    def kept_numbers(self) -> dict[str, Any]:
+        """All else that it goes on from, as plain data."""
+        ...
+
+    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+        """Take over what was kept."""
+        ...
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Counters of a training.
+
+    Attributes:
+        update: Updates done.
+        steps: Environment steps done.
+        seconds: Seconds spent training, over all sessions.
+    """
+
+    update: int
+    steps: int
+    seconds: float
+
+
+def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:
+    """Write the checkpoint of a training."""
+    tensors: dict[str, th.Tensor] = {"torch_rng": th.get_rng_state()}
+    kind, keys, *numbers = np.random.get_state()  # noqa: NPY002 (SB3 draws from it)
+    tensors["numpy_rng"] = th.from_numpy(np.asarray(keys).astype(np.int64))
+    meta: dict[str, Any] = {
+        "version": VERSION,
+        "progress": progress.__dict__,
+        "config": config,
+        "numpy_rng": [kind, *numbers],
+        "learners": {level: learner.kept_numbers() for level, learner in learners.items()},
+    }
+    for level, learner in learners.items():
+        for name, tensor in learner.kept_tensors().items():
+            tensors[f"{level}.{name}"] = tensor.detach().contiguous()
+    metadata = {"meta": json.dumps(meta)}
+    write_atomically(folder / NAME, lambda path: save_file(tensors, path, metadata=metadata))
+
+
+def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
+    """Restore learners and random states.
+
+    Raises:
+        UserError: When there is no checkpoint, it is damaged, or it belongs to another configuration.
+    """
+    path = folder / NAME
+    tensors = read_tensors(path, LARGEST)
+    meta = _read_meta(path)
+    if meta["config"] != config:
+        names = sorted(k for k in {*meta["config"], *config} if meta["config"].get(k) != config.get(k))
+        raise UserError(f"{path}: was made with another configuration ({', '.join(names)} differ)")
+    try:
+        for level, learner in learners.items():
+            prefix = f"{level}."
+            own = {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+            learner.go_on_from(own, meta["learners"][level])
+        th.set_rng_state(tensors["torch_rng"])
+        kind, *numbers = meta["numpy_rng"]
+        np.random.set_state((kind, tensors["numpy_rng"].numpy().astype(np.uint32), *numbers))  # noqa: NPY002
+        return Progress(**meta["progress"])
+    except (KeyError, TypeError, RuntimeError, ValueError, IndexError, AttributeError) as error:
+        raise UserError(f"{path}: does not fit this training: {error}") from None
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    with safe_open(path, framework="pt") as file:
+        text = (file.metadata() or {}).get("meta", "")
+    try:
+        meta = json.loads(text)
+        assert meta["version"] == VERSION and isinstance(meta["config"], dict)
+    except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
+        raise UserError(f"{path}: not a checkpoint of version {VERSION}") from None
+    return meta
+
+
+def module_tensors(name: str, module: th.nn.Module) -> dict[str, th.Tensor]:
+    """Weights and statistics of a network, under its name."""
+    return {f"{name}.{key}": tensor.clone() for key, tensor in module.state_dict().items()}
+
+
+def optimizer_tensors(name: str, optimizer: th.optim.Optimizer) -> dict[str, th.Tensor]:
+    """What an optimiser remembers of each parameter, under its name."""
+    return {
+        f"{name}.{index}.{key}": th.as_tensor(value).clone()
+        for index, state in optimizer.state_dict()["state"].items()
+        for key, value in state.items()
+    }
+
+
+def restore_module(name: str, module: th.nn.Module, tensors: dict[str, th.Tensor]) -> None:
+    """Put back what ``module_tensors`` gave."""
+    prefix = f"{name}."
+    module.load_state_dict({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
+
+
+def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
+    """Put back what ``optimizer_tensors`` gave."""
+    prefix, state = f"{name}.", dict[int, dict[str, th.Tensor]]()
+    for key, tensor in tensors.items():
+        if key.startswith(prefix):
+            index, what = key[len(prefix) :].split(".")
+            state.setdefault(int(index), {})[what] = tensor
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+
+
+def delete_checkpoint(folder: Path) -> None:
+    """Remove the checkpoint of a finished training."""
+    (folder / NAME).unlink(missing_ok=True)
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a training can go on from here."""
+    return (folder / NAME).is_file()
