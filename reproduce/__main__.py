@@ -182,8 +182,8 @@ def build(replays: Annotated[bool, typer.Option(help="with 3D replays in it")] =
 
 
 def _build_report(replays: bool) -> None:
-    from reproduce.analysis.runs import RESULTS
     from reproduce.report import build_report
+    from reproduce.storage.paths import RESULTS
 
     typer.echo(f"{build_report(RESULTS / 'notebooks', RESULTS, replays)}: report written")
 
@@ -203,10 +203,10 @@ def batch(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what is left")] = False,
 ) -> None:
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
-    from reproduce.analysis.runs import RESULTS
     from reproduce.experiments.methods import METHODS
     from reproduce.experiments.workflow.batch import default_slots, run_batch
     from reproduce.experiments.workflow.plan import Plan, cores, parse_seeds
+    from reproduce.storage.paths import RESULTS
 
     slots = default_slots() if slots is None else slots
     threads = max(1, cores() // max(1, slots)) if threads is None else threads

@@ -7,7 +7,7 @@ import runpy
 import numpy as np
 import pytest
 
-from reproduce.analysis.runs import ROOT
+from reproduce.storage.paths import ROOT
 
 
 @pytest.mark.parametrize("method", ["two_layers", "feudal"])

@@ -20,7 +20,7 @@ from reproduce.experiments.evaluate import rescue_scenes
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
 from reproduce.hrl_dcs.ablation import ABLATIONS, ablated
-from reproduce.hrl_dcs.joint_step import joint_way, leans
+from reproduce.hrl_dcs.joint_step import joint_step, sideways_tilt
 from reproduce.hrl_dcs.policy import HierarchicalPolicy
 from reproduce.hrl_dcs.subgoals import (
     APART,
@@ -105,8 +105,8 @@ def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> Non
     assert view[0, SIZE : SIZE + SUBGOAL_SIZE] == pytest.approx(near[0])
     way = near - achieved(observation[None])
     assert view[0, SIZE + SUBGOAL_SIZE : SIZE + 2 * SUBGOAL_SIZE] == pytest.approx(way[0])
-    assert view[0, -JOINTS - 1 : -1] == pytest.approx(joint_way(observation[None], way, RISE)[0])
-    parts = np.column_stack([way[0, :6].reshape(2, 3), way[0, 6:], leans(observation[None])[0]])
+    assert view[0, -JOINTS - 1 : -1] == pytest.approx(joint_step(observation[None], way, RISE)[0])
+    parts = np.column_stack([way[0, :6].reshape(2, 3), way[0, 6:], sideways_tilt(observation[None])[0]])
     both = np.linalg.norm(parts, axis=1)
     assert distances(observation[None], near)[0] == pytest.approx(both)
 

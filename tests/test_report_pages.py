@@ -11,8 +11,8 @@ from urllib.parse import unquote, urlparse
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from reproduce.analysis.runs import RESULTS
 from reproduce.report.site import REPLAYS
+from reproduce.storage.paths import RESULTS
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(1200)]
 

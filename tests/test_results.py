@@ -15,7 +15,7 @@ from lunar_rescue.scenes.splits import SPLITS, TRAIN, split_of
 from reproduce.analysis import reward_forms as arithmetic
 from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
 from reproduce.analysis.intervals import count_by, mean_interval, paired_difference, summarise, wilson
-from reproduce.analysis.runs import ROOT, reference_runs
+from reproduce.analysis.runs import reference_runs
 from reproduce.analysis.settings import settings_table
 from reproduce.analysis.tables import (
     by_attitude,
@@ -30,6 +30,7 @@ from reproduce.learning.splits import train_seed
 from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.report.pages import PAGES, rewritten
 from reproduce.storage.errors import UserError
+from reproduce.storage.paths import ROOT
 
 
 def test_wilson_gives_the_papers_intervals() -> None:

@@ -169,7 +169,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def _build(self, scene: Scene) -> Episode:
         simulation, terrain = self.simulation, scene.terrain
-        if simulation.worn:
+        if simulation.needs_rebuild:
             simulation.renew()
             self.robot = Robot(simulation)
         self.robot.rest()

@@ -33,8 +33,9 @@ import pandas as pd
 from scipy.stats import ttest_ind
 
 from reproduce.analysis.intervals import CONFIDENCE, mean_interval, paired_difference, same_scenes, wilson
-from reproduce.analysis.runs import RESULTS, Run, runs_of
+from reproduce.analysis.runs import Run, runs_of
 from reproduce.storage.files import write_json
+from reproduce.storage.paths import RESULTS
 from reproduce.storage.provenance import record_origin
 
 ENOUGH_SEEDS = 5  # one seed each says nothing of the variance between trainings

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,7 @@ import pandas as pd
 
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
-
-ROOT = Path(__file__).resolve().parents[2]
-COMMITTED = ROOT / "results"
-#: Where commands look for results and write them; a batch has a folder of its own.
-RESULTS = Path(os.environ.get("REPRODUCE_RESULTS") or COMMITTED).resolve()
-REFERENCE = "reference"
-EASY = "easy"  # short trainings on easy scenes
+from reproduce.storage.paths import REFERENCE, RESULTS
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ import pandas as pd
 
 from lunar_rescue.scenes.postures import all_postures
 from reproduce.analysis.intervals import mean_interval, paired_difference, same_scenes, wilson
-from reproduce.analysis.runs import RESULTS, Run, reference_runs
+from reproduce.analysis.runs import Run, reference_runs
 from reproduce.experiments.methods import METHODS
 from reproduce.storage.files import read_json, write_atomically
+from reproduce.storage.paths import RESULTS
 from reproduce.storage.provenance import record_origin
 
 COLUMNS = [

@@ -85,7 +85,7 @@ def policy_arguments(hidden_units: int) -> dict[str, Any]:
 class KeptSAC(SAC):
     """SB3's SAC, unchanged, with standardised observations and a checkpoint that holds its replay buffer too."""
 
-    def kept_tensors(self) -> dict[str, th.Tensor]:
+    def state_tensors(self) -> dict[str, th.Tensor]:
         """See ``reproduce.storage.checkpoint.Learner``."""
         assert self.replay_buffer is not None
         assert self.ent_coef_optimizer is not None and self.log_ent_coef is not None
@@ -99,12 +99,12 @@ class KeptSAC(SAC):
             **{f"buffer.{name}": th.from_numpy(getattr(self.replay_buffer, name)[:rows]) for name in _BUFFER},
         }
 
-    def kept_numbers(self) -> dict[str, Any]:
+    def state_numbers(self) -> dict[str, Any]:
         """See ``reproduce.storage.checkpoint.Learner``."""
         assert self.replay_buffer is not None
         return {"pos": self.replay_buffer.pos, "full": self.replay_buffer.full, "updates": self._n_updates}
 
-    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+    def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
         """See ``reproduce.storage.checkpoint.Learner``."""
         buffer = self.replay_buffer
         assert buffer is not None and self.ent_coef_optimizer is not None and self.log_ent_coef is not None

@@ -57,7 +57,7 @@ class Training(Protocol):
         """What acts, by level: how to build it, and it."""
         ...
 
-    def acting(self) -> dict[str, Any]:
+    def policy_metadata(self) -> dict[str, Any]:
         """What else is needed to act, plain data."""
         ...
 
@@ -237,5 +237,5 @@ def load_policy(folder: Path) -> tuple[Method, Policy]:
 
 def export_policy(folder: Path, method: Method, training: Training) -> None:
     """Write what is needed to act."""
-    extra = {"mirrored": training.config.mirrored, **training.acting()}
+    extra = {"mirrored": training.config.mirrored, **training.policy_metadata()}
     save_policy(folder, method.name, training.networks(), extra)

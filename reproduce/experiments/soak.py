@@ -33,9 +33,9 @@ from lunar_rescue.observation import BOUND, SIZE, as_dict
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import task_distribution
 from lunar_rescue.scenes.terrain import KINDS
-from reproduce.analysis.runs import COMMITTED
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import write_json
+from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import provenance
 
 STEPS = 1_000_000

@@ -18,12 +18,12 @@ from tqdm.auto import tqdm
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from reproduce.analysis.intervals import count_by, wilson
-from reproduce.analysis.runs import COMMITTED
 from reproduce.baselines.planner.planner import VARIANTS, RescuePlanner
 from reproduce.baselines.planner.policy import PlannerPolicy
 from reproduce.experiments.evaluate import run_episode
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_atomically, write_json
+from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import provenance, record_origin
 
 FOLDER = COMMITTED / "solvability"

@@ -19,7 +19,6 @@ import pandas as pd
 
 from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.splits import VALIDATION
-from reproduce.analysis.runs import COMMITTED, RESULTS
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
@@ -27,6 +26,7 @@ from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
 from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
+from reproduce.storage.paths import COMMITTED, RESULTS
 from reproduce.storage.provenance import record_origin
 
 PRESET = "laptop"

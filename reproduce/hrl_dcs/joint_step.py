@@ -71,7 +71,7 @@ def changes_with_joints(waist: Array, q: Array) -> tuple[Array, Array]:
     return np.stack(rows, axis=1), normal[:, 1]
 
 
-def leans(observations: Floats) -> Floats:
+def sideways_tilt(observations: Floats) -> Floats:
     """How far each plate is from level across, (n, 2) [m], counting ``LEVEL`` for a plate on edge."""
     q = np.stack([observations[:, where] for where in _ANGLES], axis=1) * np.float32(ARM_WINDOW) + _START
     s, c = np.sin(q), np.cos(q)
@@ -79,7 +79,7 @@ def leans(observations: Floats) -> Floats:
     return np.float32(LEVEL) * across
 
 
-def joint_way(observations: Floats, way: Floats, rise: float) -> Floats:
+def joint_step(observations: Floats, way: Floats, rise: float) -> Floats:
     """The step of all joints towards a sub-goal.
 
     Args:

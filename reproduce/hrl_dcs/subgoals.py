@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from lunar_rescue.episode import OVER
 from lunar_rescue.observation import SIZE, SLICES
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.hrl_dcs.joint_step import joint_way, leans
+from reproduce.hrl_dcs.joint_step import joint_step, sideways_tilt
 
 Floats = NDArray[np.float32]
 
@@ -92,7 +92,7 @@ def distances(observations: Floats, subgoals: Floats) -> Floats:
     """Of each arm to its sub-goal, over end, rise and a plate level across, (n, 2) [m]."""
     way = achieved(observations) - subgoals
     squares: Floats = np.einsum("nak,nak->na", *[way[:, :ENDS_SIZE].reshape(-1, 2, 3)] * 2) + way[:, ENDS_SIZE:] ** 2
-    return np.sqrt(squares + leans(observations) ** 2)
+    return np.sqrt(squares + sideways_tilt(observations) ** 2)
 
 
 def targets(observations: Floats) -> Floats:
@@ -136,8 +136,8 @@ def lln_observations(observations: Floats, subgoals: Floats, remaining: Floats) 
     The way is there twice, in metres and in joint angles, see ``reproduce.hrl_dcs.joint_step``.
     """
     way = subgoals - achieved(observations)
-    steps = joint_way(observations, way, RISE)
-    seen = [observations, subgoals, way, leans(observations), steps, remaining[:, None]]
+    steps = joint_step(observations, way, RISE)
+    seen = [observations, subgoals, way, sideways_tilt(observations), steps, remaining[:, None]]
     return np.concatenate(seen, axis=1).astype(np.float32)
 
 

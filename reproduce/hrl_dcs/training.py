@@ -121,6 +121,6 @@ class HierarchicalTraining(TwoLayerTraining):
             "lln": (NetworkSpec(LLN_SIZE, JOINTS, low, bounded_mean=False), self.lln.policy),
         }
 
-    def acting(self) -> dict[str, Any]:
+    def policy_metadata(self) -> dict[str, Any]:
         """N and what sub-goals mean."""
         return {"interval": self.config.hierarchy.interval, "subgoals": self.config.hierarchy.subgoals}

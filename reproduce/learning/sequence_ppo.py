@@ -59,15 +59,15 @@ class SequencePPO(RecurrentPPO):
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
 
-    def kept_tensors(self) -> dict[str, th.Tensor]:
+    def state_tensors(self) -> dict[str, th.Tensor]:
         """See ``reproduce.storage.checkpoint.Learner``."""
         return {**module_tensors("policy", self.policy), **optimizer_tensors("optimizer", self.policy.optimizer)}
 
-    def kept_numbers(self) -> dict[str, Any]:
+    def state_numbers(self) -> dict[str, Any]:
         """See ``reproduce.storage.checkpoint.Learner``."""
         return {"batch_rng": self.batch_rng.bit_generator.state, "rate_factor": self.rate_factor}
 
-    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+    def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
         """See ``reproduce.storage.checkpoint.Learner``."""
         restore_module("policy", self.policy, tensors)
         restore_optimizer("optimizer", self.policy.optimizer, tensors)

@@ -133,7 +133,7 @@ class CollectedTraining:
                 row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
 
-    def acting(self) -> dict[str, Any]:
+    def policy_metadata(self) -> dict[str, Any]:
         """What else than networks is needed to act, plain data."""
         return {}
 

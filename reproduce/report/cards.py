@@ -8,11 +8,12 @@ from typing import Any
 
 import pandas as pd
 
-from reproduce.analysis.runs import RESULTS, Run, reference_runs
+from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import by_condition
 from reproduce.experiments.methods import METHODS, get_method
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_text
+from reproduce.storage.paths import RESULTS
 from reproduce.storage.policies import read_policy_json
 
 #: What a shared folder holds besides the card, as far as it is there.

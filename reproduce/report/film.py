@@ -56,7 +56,7 @@ class WatchedPolicy:
         return drawn
 
 
-def who_and_where(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
+def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
     """The policy and the scene of a rescue that is to be shown; see ``film``."""
     if seed < 0:
         raise UserError(f"seed: expected at least 0, got {seed}")
@@ -83,7 +83,7 @@ def film(
         overlay: Draw targets, sub-goals, mark points, distances and a caption.
         size: Width and height [px]; films want multiples of 16.
     """
-    policy, scene = who_and_where(where, seed, posture, task)
+    policy, scene = load_policy_and_scene(where, seed, posture, task)
     camera = scene_camera(scene, size)
     env, studio = LunarRescueEnv(), Studio()
     frames: list[Picture] = []

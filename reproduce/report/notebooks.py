@@ -18,9 +18,9 @@ import nbformat
 import papermill
 from papermill.exceptions import PapermillExecutionError
 
-from reproduce.analysis.runs import RESULTS, ROOT
 from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.storage.paths import RESULTS, ROOT
 
 SOURCES = ROOT / "notebooks"
 OUTPUTS = "notebooks"

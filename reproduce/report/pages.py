@@ -21,7 +21,7 @@ from lunar_rescue.scenes.scene import BASE_RANGE, FRICTION_RANGE, HELDOUT_MASSES
 from lunar_rescue.scenes.splits import SPLITS
 from lunar_rescue.scenes.terrain import MAX_SLOPE, MOUND_RADIUS, MOUND_STEEPNESS, MOUNDS, ROUGH_SHARE
 from reproduce.analysis.claims import compute_claims
-from reproduce.analysis.runs import RESULTS, ROOT, runs_of
+from reproduce.analysis.runs import runs_of
 from reproduce.analysis.tables import markdown_table, readable_differences, readable_table1
 from reproduce.bench.profiling import SHARES
 from reproduce.bench.speed import BATCHES
@@ -29,6 +29,7 @@ from reproduce.experiments.methods import METHODS
 from reproduce.experiments.workflow.items import items, timings
 from reproduce.experiments.workflow.plan import Plan
 from reproduce.storage.files import write_text
+from reproduce.storage.paths import RESULTS, ROOT
 
 
 def block_pattern(name: str) -> re.Pattern[str]:

@@ -15,13 +15,14 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from reproduce.analysis.claims import ENOUGH_SEEDS, compute_claims
-from reproduce.analysis.runs import ROOT, Run, reference_runs
+from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import markdown_table, readable_table1
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
 from reproduce.report.gallery import Clip, choose_clips, make_clips
 from reproduce.report.notebook import Page, fill_in, notebook_page
 from reproduce.storage.files import write_text
+from reproduce.storage.paths import ROOT
 from reproduce.storage.provenance import provenance
 
 TITLE = "Lunar rescue by two arms"

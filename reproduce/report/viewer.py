@@ -30,7 +30,7 @@ from lunar_rescue.pictures.rendering import StageSet, scene_camera, suit_pose
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.tasks import TARGET_RADIUS
 from reproduce.experiments.evaluate import run_episode
-from reproduce.report.film import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, who_and_where
+from reproduce.report.film import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
 
@@ -98,7 +98,7 @@ def record(where: str | Path, seed: int, posture: str | None = None, task: str |
         posture: Draw the scene with this posture.
         task: Draw the scene with this task.
     """
-    policy, scene = who_and_where(where, seed, posture, task)
+    policy, scene = load_policy_and_scene(where, seed, posture, task)
     env, stage = LunarRescueEnv(), StageSet(Stage())
     moments: list[Moment] = []
     robot: list[VisualShape] = []

@@ -28,15 +28,15 @@ LARGEST = 8_000_000_000  # bytes; a large replay buffer is in it
 class Learner(Protocol):
     """What can be kept in a checkpoint."""
 
-    def kept_tensors(self) -> dict[str, th.Tensor]:
+    def state_tensors(self) -> dict[str, th.Tensor]:
         """All arrays that learning goes on from, by name."""
         ...
 
-    def kept_numbers(self) -> dict[str, Any]:
+    def state_numbers(self) -> dict[str, Any]:
         """All else that it goes on from, as plain data."""
         ...
 
-    def go_on_from(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
+    def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
         """Take over what was kept."""
         ...
 
@@ -66,10 +66,10 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
         "progress": progress.__dict__,
         "config": config,
         "numpy_rng": [kind, *numbers],
-        "learners": {level: learner.kept_numbers() for level, learner in learners.items()},
+        "learners": {level: learner.state_numbers() for level, learner in learners.items()},
     }
     for level, learner in learners.items():
-        for name, tensor in learner.kept_tensors().items():
+        for name, tensor in learner.state_tensors().items():
             tensors[f"{level}.{name}"] = tensor.detach().contiguous()
     metadata = {"meta": json.dumps(meta)}
     write_atomically(folder / NAME, lambda path: save_file(tensors, path, metadata=metadata))
@@ -91,7 +91,7 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
         for level, learner in learners.items():
             prefix = f"{level}."
             own = {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-            learner.go_on_from(own, meta["learners"][level])
+            learner.load_state(own, meta["learners"][level])
         th.set_rng_state(tensors["torch_rng"])
         kind, *numbers = meta["numpy_rng"]
         np.random.set_state((kind, tensors["numpy_rng"].numpy().astype(np.uint32), *numbers))  # noqa: NPY002

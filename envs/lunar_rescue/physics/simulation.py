@@ -91,7 +91,7 @@ class Simulation:
         return int(self._client._client)
 
     @property
-    def worn(self) -> bool:
+    def needs_rebuild(self) -> bool:
         """Whether the world should be renewed before the next episode."""
         return self._episodes >= WORLD_LIFE
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from reproduce.analysis.runs import RESULTS, reference_runs
+from reproduce.analysis.runs import reference_runs
 from reproduce.experiments.workflow.plan import REPORT, TABLES, Plan
+from reproduce.storage.paths import RESULTS
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch as th
-from fun_task import HELD, CueMaze  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from feudal_task import HELD, CueMaze  # type: ignore[import-not-found]  # pytest puts this folder on the path
 from gymnasium import spaces
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
