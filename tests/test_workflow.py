@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train_as_needed
 from reproduce.experiments.workflow.batch import LOCK, remaining, run_batch
-from reproduce.experiments.workflow.plan import CHECKS, Job, Plan, parse_seeds
+from reproduce.experiments.workflow.plan import Job, Plan, parse_seeds
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import read_json, write_json
 
@@ -37,7 +38,7 @@ def test_a_plan_has_a_step_for_each_file_and_round_trips(tmp_path: Path) -> None
     jobs = made.jobs()
     assert len({job.output for job in jobs}) == len(jobs)
     outputs = {str(job.output) for job in jobs}
-    assert {f"reference/hrl_dcs/seed3/{check}.json" for check in CHECKS} <= outputs
+    assert {f"reference/hrl_dcs/seed3/{check}.json" for check in EVALUATIONS} <= outputs
     assert "reference/fun/seed0/run.json" in outputs and "reference/random/seed0/evaluation.json" in outputs
     assert "reference/random/seed0/run.json" not in outputs and "reference/random/seed3/evaluation.json" not in outputs
     assert [job.rule for job in made.jobs("tables")][-1] == "tables" and jobs[-1].rule == "report"

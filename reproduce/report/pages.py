@@ -26,8 +26,8 @@ from reproduce.analysis.tables import markdown_table, readable_differences, read
 from reproduce.bench.profiling import SHARES
 from reproduce.bench.speed import BATCHES
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.workflow.items import items, timings
 from reproduce.experiments.workflow.plan import Plan
+from reproduce.report.items import items, timings
 from reproduce.storage.files import write_text
 from reproduce.storage.paths import RESULTS, ROOT
 

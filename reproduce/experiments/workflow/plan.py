@@ -13,18 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from lunar_rescue.scenes.splits import SPLITS
+from reproduce.experiments.evaluations import EVALUATIONS, TESTS
 from reproduce.experiments.methods import METHODS, get_method
-from reproduce.hrl_dcs.ablation import ABLATIONS
 from reproduce.learning.config import to_dict
 from reproduce.report.notebooks import find_notebooks
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 
-#: Scenes of an evaluation and of an ablation, by preset.
-TESTS = {"smoke": (8, 4), "laptop": (1000, 200), "paper": (1000, 200)}
-#: What a table of results needs of a policy of two layers, besides the evaluation.
-TWO_LAYERS = "both_layers"
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
 REPORT = "report/index.html"
@@ -36,29 +31,6 @@ _STARTING = 6.0  # a command and its imports
 _STEPS_PER_SECOND = 1200.0
 _SECONDS_A_TEST = {"planner": 1.2, "scripted": 0.05}
 _NOTEBOOK = 20.0
-
-
-@dataclass(frozen=True)
-class Check:
-    """One evaluation of a policy.
-
-    Attributes:
-        first_seed: Of its scenes.
-        few: Whether it takes the smaller number of scenes.
-        ablation: What is taken out, or None.
-    """
-
-    first_seed: int
-    few: bool = False
-    ablation: str | None = None
-
-
-CHECKS = {
-    "evaluation": Check(SPLITS["test"].start),
-    "heldout": Check(SPLITS["heldout"].start),
-    TWO_LAYERS: Check(SPLITS["test"].start, few=True),
-    **{name: Check(SPLITS["test"].start, few=True, ablation=name) for name in ABLATIONS},
-}
 
 
 @dataclass(frozen=True)
@@ -104,7 +76,7 @@ class Plan:
 
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
-        """Check names and numbers.
+        """Evaluation names and numbers.
 
         Raises:
             UserError: On an unknown preset or method.
@@ -148,11 +120,11 @@ class Plan:
         """Which evaluations a method gets."""
         if not self.learns(method):
             return ["evaluation"]
-        return list(CHECKS) if method == "hrl_dcs" else ["evaluation", "heldout"]
+        return list(EVALUATIONS) if method == "hrl_dcs" else ["evaluation", "heldout"]
 
     def tests(self, check: str) -> int:
         """Scenes of an evaluation."""
-        return TESTS[self.preset][CHECKS[check].few]
+        return TESTS[self.preset][EVALUATIONS[check].few]
 
     def policies(self) -> list[str]:
         """Files that say that a training has ended."""
