@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,3 +68,58 @@ def test_bad_arguments_are_refused() -> None:
         RewardWeights(beta=-1.0)
     with pytest.raises(ValueError, match="memory"):
         RewardWeights(memory=0)
+
+
+STEP = rewards.Transition(
+    best=np.array([0.5, 0.4]),
+    distance=np.array([0.3, 0.5]),
+    clearance=np.array([[0.5, 0.25], [1.0, 2.0]]),
+    moved=np.array([0.1, -0.2, 0.3]),
+    touches_rock=True,
+    contact_reward=False,
+    steps=40,
+    max_steps=100,
+    both_arms_under=False,
+    success=False,
+    failed=False,
+)
+WEIGHTS = RewardWeights(
+    beta=3.0, rho=0.3, xi=0.1, varphi=0.5, time_bonus=2.0, rescued=7.0, both_arms_under=5.0, failure=6.0, contact=0.2
+)
+
+
+def test_every_term_of_a_step_by_hand() -> None:
+    terms = rewards.reward_terms(STEP, WEIGHTS)
+    assert list(terms) == [
+        "approach", "obstacle_avoidance", "joint_motion", "time_bonus", "rescued", "both_arms_under", "failure",
+    ]  # fmt: skip
+    assert terms["approach"] == pytest.approx(3.0 * ((math.exp(0.2) - 1.0) + (math.exp(-0.1) - 1.0)) / 2)
+    assert terms["obstacle_avoidance"] == pytest.approx(-0.3 * math.log(0.2 + 0.4 + 0.1 + 0.05 + 1.0))
+    assert terms["joint_motion"] == pytest.approx(-0.3)
+    assert [terms[name] for name in ("time_bonus", "rescued", "both_arms_under", "failure")] == [0.0] * 4
+
+
+def test_milestones_come_with_what_they_are_for() -> None:
+    done = rewards.reward_terms(replace(STEP, both_arms_under=True, success=True), WEIGHTS)
+    assert done["both_arms_under"] == 5.0 and done["rescued"] == 7.0 and done["failure"] == 0.0
+    assert done["time_bonus"] == pytest.approx(2.0 * 0.64)
+    assert rewards.reward_terms(replace(STEP, failed=True), WEIGHTS)["failure"] == -6.0
+
+
+def test_the_contact_reward_takes_the_place_of_the_aapf_term() -> None:
+    ablated = replace(STEP, contact_reward=True)
+    assert rewards.reward_terms(ablated, WEIGHTS)["obstacle_avoidance"] == pytest.approx(-0.1)
+    assert rewards.aapf(ablated, WEIGHTS) == pytest.approx(-0.3 * math.log(1.75))
+
+
+def test_the_table_of_terms_names_weights_that_exist_and_says_what_comes_once() -> None:
+    for term in rewards.TERMS:
+        assert term.formula and all(isinstance(getattr(WEIGHTS, name), int | float) for name in term.weight)
+    assert [term.name for term in rewards.TERMS if term.once] == [
+        "time_bonus", "rescued", "both_arms_under", "failure",
+    ]  # fmt: skip
+
+
+def test_the_default_weights_are_those_that_everything_trains_with() -> None:
+    weights = RewardWeights()
+    assert (weights.time_bonus, weights.rescued, weights.both_arms_under, weights.failure) == (1.5, 4.0, 2.0, 1.0)

@@ -215,35 +215,31 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         touches = self._touches_rock(e, clearance)
         e.rock_contact = e.rock_contact or touches
         distance = e.distances() if e.process == 1 else np.full(2, e.task.pose_error(e.body))
-        terms = self._terms(e, distance, clearance, moved, touches)
+        best = _least(e.recent)
         e.recent.append(distance)
-        if e.process == 1 and self._both_under(e, distance):
-            terms["both_arms_under"] = self.weights.both_arms_under
+        both_under = e.process == 1 and self._both_under(e, distance)
+        if both_under:
             e.process = 2
             e.recent.clear()
             e.recent.append(np.full(2, e.task.pose_error(e.body)))
         success = self._succeeds(e)
         failure = None if success else self._fails(e, touches)
-        if success:
-            terms["time_bonus"] = self.weights.time_bonus * rewards.time_bonus(e.steps, self.max_steps)
-            terms["rescued"] = self.weights.rescued
-        if failure is not None:
-            terms["failure"] = -self.weights.failure
+        step = rewards.Transition(
+            best=best,
+            distance=distance,
+            clearance=clearance,
+            moved=moved,
+            touches_rock=touches,
+            contact_reward=self.obstacle_reward == "contact",
+            steps=e.steps,
+            max_steps=self.max_steps,
+            both_arms_under=both_under,
+            success=success,
+            failed=failure is not None,
+        )
+        terms = rewards.reward_terms(step, self.weights)
+        e.aapf = rewards.aapf(step, self.weights) if step.contact_reward else terms["obstacle_avoidance"]
         return terms, success, failure
-
-    def _terms(self, e: Episode, distance: Array, clearance: Array, moved: Array, touches: bool) -> dict[str, float]:
-        w = self.weights
-        e.aapf = rewards.obstacle_avoidance(clearance, rho=w.rho, xi=w.xi)
-        obstacle = e.aapf if self.obstacle_reward == "aapf" else w.contact * rewards.contact(touches)
-        return {
-            "approach": rewards.approach(_least(e.recent), distance, beta=w.beta, form=w.form),
-            "obstacle_avoidance": obstacle,
-            "joint_motion": rewards.joint_motion(moved, varphi=w.varphi),
-            "time_bonus": 0.0,
-            "rescued": 0.0,
-            "both_arms_under": 0.0,
-            "failure": 0.0,
-        }
 
     def _mark_distances(self, e: Episode) -> Array:
         """Distances of every joint to every mark point, (12, m) [m]."""

@@ -1,11 +1,13 @@
 """The terms of Eq. 2 and of the project's own milestones, as pure functions of floats and arrays.
 
-Every function is one term; :class:`RewardWeights` says how the environment sums them.
+``TERMS`` is the one table of them: name, formula, weights, and how the environment computes each. The reward of a step
+is the sum over the table.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -118,14 +120,14 @@ class RewardWeights:
     """AAPF length scale [m]."""
     varphi: float = 0.003
     """Joint-motion term [1/rad]."""
-    time_bonus: float = 5.0
+    time_bonus: float = 1.5
     """Factor on the time bonus, so that finishing is worth more than any dwelling."""
-    rescued: float = 0.0
+    rescued: float = 4.0
     """Once, at completion, however late; not in the paper. The time bonus alone makes a late rescue worth a tenth of an
     early one, and policies that earn it prefer haste to success (see the training log)."""
     both_arms_under: float = 2.0
     """Once, when process 1 is completed; not in the paper."""
-    failure: float = 2.0
+    failure: float = 1.0
     """Subtracted once when an episode ends in a failure other than the time limit; not in the paper."""
     contact: float = 0.02
     """Factor on the contact reward where it replaces the AAPF term."""
@@ -144,3 +146,130 @@ class RewardWeights:
                     raise ValueError(f"RewardWeights.memory: expected an integer >= 1, got {value!r}")
             elif not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"RewardWeights.{field.name}: expected a finite number >= 0, got {value!r}")
+
+
+@dataclass(frozen=True)
+class Transition:
+    """What the reward of one step is computed from.
+
+    Attributes:
+        best: D_m, least distance before this step, of each arm in process 1 and of the pose in process 2 (2,) [m].
+        distance: D, the distance now (2,) [m].
+        clearance: Distances of every joint to every mark point of the rocks (12, m) [m].
+        moved: Change of each joint angle (11,) [rad].
+        touches_rock: Whether an arm touches a rock.
+        contact_reward: Whether the contact reward of section 4.3 takes the AAPF term's place.
+        steps: Steps since the reset, this one included.
+        max_steps: Step limit of the episode.
+        both_arms_under: Whether this step completes process 1.
+        success: Whether it completes the rescue.
+        failed: Whether it ends the episode in a failure other than the time limit.
+    """
+
+    best: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    clearance: NDArray[np.float64]
+    moved: NDArray[np.float64]
+    touches_rock: bool
+    contact_reward: bool
+    steps: int
+    max_steps: int
+    both_arms_under: bool
+    success: bool
+    failed: bool
+
+
+def aapf(step: Transition, weights: RewardWeights) -> float:
+    """Return the AAPF term of a step, also where the contact reward replaces it."""
+    return obstacle_avoidance(step.clearance, rho=weights.rho, xi=weights.xi)
+
+
+def _obstacle_term(step: Transition, weights: RewardWeights) -> float:
+    return weights.contact * contact(step.touches_rock) if step.contact_reward else aapf(step, weights)
+
+
+@dataclass(frozen=True)
+class RewardTerm:
+    """One term of the reward.
+
+    Attributes:
+        name: Its key in ``info["reward_terms"]``.
+        formula: What it is, in LaTeX.
+        weight: The fields of ``RewardWeights`` that it reads.
+        once: Whether it comes at most once an episode, as a milestone does.
+        meaning: A few words on when it comes and what it is for.
+        value: Computes it for one step.
+    """
+
+    name: str
+    formula: str
+    weight: tuple[str, ...]
+    once: bool
+    meaning: str
+    value: Callable[[Transition, RewardWeights], float]
+
+
+#: Eq. 2, term by term, and the milestones that the paper does not have.
+TERMS = (
+    RewardTerm(
+        "approach",
+        r"\beta (e^{D_m - D} - 1)",
+        ("beta", "memory"),
+        False,
+        "each step, mean over the arms; D_m is the least distance of the last `memory` steps",
+        lambda s, w: approach(s.best, s.distance, beta=w.beta, form=w.form),
+    ),
+    RewardTerm(
+        "obstacle_avoidance",
+        r"-\rho \log(\textstyle\sum \xi / D + 1)",
+        ("rho", "xi"),
+        False,
+        "each step, over all joints and mark points; the AAPF",
+        _obstacle_term,
+    ),
+    RewardTerm(
+        "joint_motion",
+        r"-\varphi \textstyle\sum \lvert\Delta\omega\rvert",
+        ("varphi",),
+        False,
+        "each step, over arms and waist",
+        lambda s, w: joint_motion(s.moved, varphi=w.varphi),
+    ),
+    RewardTerm(
+        "time_bonus",
+        r"1 - 0.9 \phi / \phi_{max}",
+        ("time_bonus",),
+        True,
+        "once, on success",
+        lambda s, w: w.time_bonus * time_bonus(s.steps, s.max_steps) if s.success else 0.0,
+    ),
+    RewardTerm(
+        "rescued",
+        "1",
+        ("rescued",),
+        True,
+        "once, on success (not in the paper)",
+        lambda s, w: w.rescued if s.success else 0.0,
+    ),
+    RewardTerm(
+        "both_arms_under",
+        "1",
+        ("both_arms_under",),
+        True,
+        "once, when process 1 is completed (not in the paper)",
+        lambda s, w: w.both_arms_under if s.both_arms_under else 0.0,
+    ),
+    RewardTerm(
+        "failure",
+        "-1",
+        ("failure",),
+        True,
+        "once, when an episode fails before its time (not in the paper)",
+        lambda s, w: -w.failure if s.failed else 0.0,
+    ),
+)
+
+
+def reward_terms(step: Transition, weights: RewardWeights) -> dict[str, float]:
+    """Return every term of a step by its name; the reward is their sum."""
+    return {term.name: term.value(step, weights) for term in TERMS}

@@ -15,17 +15,17 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue.physics.robot import JOINTS
+from lunar_rescue.rewards import TERMS
 from reproduce.hrl_dcs.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, distances, in_process_2, lln_observations
 from reproduce.learning.actions import to_environment
-from reproduce.learning.workers import TERMS
 
 Floats = NDArray[np.float32]
 
-APPROACH = TERMS.index("approach")
+APPROACH = [term.name for term in TERMS].index("approach")
 #: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [TERMS.index(name) for name in ("obstacle_avoidance", "joint_motion")]
+SHARED_TERMS = [index for index, term in enumerate(TERMS) if not term.once and index != APPROACH]
 #: Terms that come once an episode, of which INR has a share.
-MILESTONES = [TERMS.index(name) for name in ("time_bonus", "rescued", "both_arms_under", "failure")]
+MILESTONES = [index for index, term in enumerate(TERMS) if term.once]
 
 
 class Goals(Protocol):

@@ -236,7 +236,6 @@ _LAPTOP = TrainingConfig(
         noise_share=0.6,
     ),
     hierarchy=HierarchyConfig(sgn_every=8),
-    reward=RewardWeights(time_bonus=1.5, rescued=4.0, failure=1.0),
     lying_weight=2,
 )
 

@@ -21,15 +21,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from lunar_rescue import Scene, sample_scene
+from lunar_rescue import Scene, rewards, sample_scene
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.learning.splits import train_seed
 
-#: Reward terms in the order of the shared array.
-TERMS = ("approach", "obstacle_avoidance", "joint_motion", "time_bonus", "rescued", "both_arms_under", "failure")
+#: Names of the reward's terms in the order of the shared array.
+TERMS = tuple(term.name for term in rewards.TERMS)
 #: Return of an ended episode by the environment's own reward, AAPF included, whichever obstacle reward is trained with.
 RETURN = "own_return"
 EASY_POSTURE = "left_side_stride"
@@ -67,7 +67,7 @@ def _work(
     """Step this worker's share of the environments until told to close."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
     try:
-        observations, actions, rewards, dones, terms = (
+        observations, actions, summed, dones, terms = (
             _shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)
         )
         envs = [LunarRescueEnv(**options.arguments) for _ in indices]
@@ -89,7 +89,7 @@ def _work(
                 ended: list[tuple[int, dict[str, Any]]] = []
                 for slot, index in enumerate(indices):
                     vector, reward, terminated, truncated, info = envs[slot].step_flat(actions[index])
-                    rewards[index] = reward
+                    summed[index] = reward
                     terms[index] = [info["reward_terms"][name] for name in TERMS]
                     totals[slot] += reward - info["reward_terms"]["obstacle_avoidance"] + info["aapf"]
                     dones[index] = float(terminated or truncated)

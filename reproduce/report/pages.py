@@ -15,6 +15,7 @@ from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, tasks
 from lunar_rescue.observation import SIZE, observation_table
 from lunar_rescue.physics.robot import CONTROL_STEP, CONTROL_SUBSTEPS, Robot
 from lunar_rescue.physics.simulation import LUNAR_GRAVITY, SOLVER_ITERATIONS, SUBSTEP, Simulation
+from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes.postures import heldout_postures, postures
 from lunar_rescue.scenes.rocks import HELDOUT_EXPONENT, MAX_ROCKS, ROCK_BURIED, ROCK_EXPONENT, ROCK_SIZE_RANGE
 from lunar_rescue.scenes.scene import BASE_RANGE, FRICTION_RANGE, HELDOUT_MASSES, MASS_RANGE
@@ -106,17 +107,17 @@ def action_block() -> str:
 
 def rewards_block() -> str:
     """Terms and the weights that the environment has unless it is given others."""
-    w = RewardWeights()
+    weights = RewardWeights()
     rows = [
-        ("`approach`", "beta (exp(D_m - D) - 1), mean over the arms", f"beta {w.beta:g}, D_m over {w.memory} step(s)"),
-        ("`obstacle_avoidance`", "-rho log(sum xi / D + 1), the AAPF", f"rho {w.rho:g}, xi {w.xi:g} m"),
-        ("`joint_motion`", "-varphi sum |change of each joint|", f"varphi {w.varphi:g} /rad"),
-        ("`time_bonus`", "1 - 0.9 steps / limit, on success", f"times {w.time_bonus:g}"),
-        ("`rescued`", "once, on success (not in the paper)", f"{w.rescued:g}"),
-        ("`both_arms_under`", "once, when process 1 is completed (not in the paper)", f"{w.both_arms_under:g}"),
-        ("`failure`", "once, when an episode fails before its time (not in the paper)", f"-{w.failure:g}"),
+        (
+            f"`{term.name}`",
+            f"${term.formula}$",
+            term.meaning,
+            ", ".join(f"`{field}` {getattr(weights, field):g}" for field in term.weight),
+        )
+        for term in TERMS
     ]
-    return markdown_table(("term", "what", "weight"), rows)
+    return markdown_table(("term", "formula", "when", "weight"), rows)
 
 
 def numbers_block() -> str:
