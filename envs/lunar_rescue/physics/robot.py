@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.physics.simulation import SUBSTEP, Simulation
+from lunar_rescue.physics.simulation import ROBOT_FILE, SUBSTEP, Simulation
 
 Array = NDArray[np.float64]
 
@@ -48,6 +50,41 @@ ENDS = np.array([5, 11])  # rows of the two arm ends in link arrays
 PLATES = np.array([4, 10])  # and of the two plates' joints
 
 
+JOINT_NAMES = (*(f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS), "waist")
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What the robot file allows each joint, arm A, arm B, waist.
+
+    Attributes:
+        lower: Least angles (11,) [rad].
+        upper: Greatest angles (11,) [rad].
+        torque: Most that each motor exerts (11,) [N m].
+        speed: Most that each joint turns (11,) [rad/s].
+    """
+
+    lower: Array
+    upper: Array
+    torque: Array
+    speed: Array
+
+
+@lru_cache(maxsize=1)
+def joint_limits() -> JointLimits:
+    """Read the limits of all joints from the robot file, which is the only place where they stand."""
+    joints = {joint.get("name"): joint.find("limit") for joint in ElementTree.parse(ROBOT_FILE).iter("joint")}
+    rows = []
+    for name in JOINT_NAMES:
+        limit = joints.get(name)
+        if limit is None:
+            raise ValueError(f"{ROBOT_FILE}: expected a joint {name!r} with limits")
+        rows.append([float(limit.get(key, "nan")) for key in ("lower", "upper", "effort", "velocity")])
+    table = np.array(rows)
+    table.flags.writeable = False
+    return JointLimits(*table.T)
+
+
 @dataclass(frozen=True)
 class RobotState:
     """What the robot's own sensors tell.
@@ -83,17 +120,17 @@ class Robot:
         self.links = len(table)
         by_joint = {row[1]: row for row in table}
         by_link = {row[2]: row[0] for row in table}
-        self.names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        self.names = list(JOINT_NAMES)
         rows = [by_joint[name] for name in self.names]
         self._joints = [row[0] for row in rows]
         self._points = [by_link[f"{arm.name}_{link}"] for arm in ARMS for link in ARM_LINKS]
         self.arm_links = [{by_link[f"{arm.name}_{link}"] for link in ARM_LINKS} for arm in ARMS]
-        self.torque_limits = np.array([row[5] for row in rows])
-        self.speed_limits = np.array([row[6] for row in rows])
+        limits = joint_limits()
+        _check_limits(np.array([row[3:7] for row in rows]), limits)
+        self.lower, self.upper = limits.lower, limits.upper
+        self.torque_limits, self.speed_limits = limits.torque, limits.speed
         self.initial = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
         self.window = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
-        self.lower = np.array([row[3] for row in rows])
-        self.upper = np.array([row[4] for row in rows])
         self._torque_list = self.torque_limits.tolist()
         self._reach_per_step = JOINT_SPEED * CONTROL_STEP
         self._keep_apart(by_link)
@@ -144,3 +181,15 @@ class Robot:
         along = points[ENDS] - points[PLATES]
         along /= np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         return RobotState(angles, speeds, torques, points, along)
+
+
+def _check_limits(read: Array, limits: JointLimits) -> None:
+    """Refuse a robot whose limits, (11, 4) as the simulator read them, are not those of the file.
+
+    Bullet reads numbers in the process's locale: with a decimal comma it would take -1.745 for -1.
+    """
+    for name, own, expected in zip(
+        JOINT_NAMES, read, np.column_stack([limits.lower, limits.upper, limits.torque, limits.speed]), strict=True
+    ):
+        if not np.array_equal(own, expected):
+            raise RuntimeError(f"{ROBOT_FILE}: joint {name!r}: expected limits {expected}, the simulator read {own}")
