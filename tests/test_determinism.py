@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
-from lunar_rescue.physics import simulation
+from lunar_rescue.physics import bodies
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN
 from reproduce.baselines.scripted import ScriptedPolicy
@@ -93,7 +93,7 @@ def test_from_json(reference: list[str], env: LunarRescueEnv) -> None:
 
 
 def test_in_a_renewed_world(reference: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulation, "WORLD_LIFE", 3)
+    monkeypatch.setattr(bodies, "WORLD_LIFE", 3)
     assert digests() == reference
 
 

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from lunar_rescue import Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
 from lunar_rescue.episode import Episode
+from lunar_rescue.pictures.camera import GALLERY_TURN, TURN, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
-from lunar_rescue.pictures.rendering import GALLERY_TURN, TURN, Studio, scene_camera
+from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import body_surface

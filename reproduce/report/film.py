@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
-from lunar_rescue.pictures.rendering import SIZE, Picture, Studio, scene_camera
+from lunar_rescue.pictures.rendering import Picture, Studio
 from reproduce.experiments.evaluate import find_policy, run_episode
 from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError

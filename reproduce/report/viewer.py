@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue import LunarRescueEnv, Scene
-from lunar_rescue.physics.simulation import Stage, VisualShape
 from lunar_rescue.pictures import shapes
+from lunar_rescue.pictures.camera import scene_camera
 from lunar_rescue.pictures.overlay import (
     ARM_COLOURS,
     MARK_COLOUR,
@@ -26,7 +26,8 @@ from lunar_rescue.pictures.overlay import (
     nearest_links,
     subgoals_in_scene,
 )
-from lunar_rescue.pictures.rendering import StageSet, scene_camera, suit_pose
+from lunar_rescue.pictures.stage import Stage, VisualShape
+from lunar_rescue.pictures.stage_set import StageSet, suit_pose
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.tasks import TARGET_RADIUS
 from reproduce.experiments.evaluate import run_episode

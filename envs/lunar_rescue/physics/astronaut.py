@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.simulation import RigidBody, Simulation
+from lunar_rescue.physics.bodies import RigidBody
+from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.scenes.postures import Posture
 from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.suit import keypoints, mass_properties

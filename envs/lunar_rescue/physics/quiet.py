@@ -1,20 +1,29 @@
-"""Keeps PyBullet's greetings, printed from C, out of notebooks and pipes."""
+"""What PyBullet's C code needs of the process: its greetings kept out of notebooks and pipes, numbers with a point.
+
+File descriptors and locale belong to the whole process, so threads take turns, and both are changed for as short as can
+be.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import locale
 import os
 import sys
+import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+
+_LOCK = threading.RLock()
 
 
 @contextmanager
 def no_greeting() -> Iterator[None]:
-    """Send what C code prints to nowhere meanwhile."""
-    with ExitStack() as stack:
+    """Send what C code prints to nowhere meanwhile; streams that are closed or missing are left alone."""
+    with _LOCK, ExitStack() as stack:
         for descriptor, stream in ((1, sys.stdout), (2, sys.stderr)):
-            stream.flush()
+            with suppress(AttributeError, ValueError, OSError):  # None, closed, or a pipe that nobody reads
+                stream.flush()
             stack.enter_context(_to_nowhere(descriptor))
         yield
 
@@ -23,7 +32,7 @@ def no_greeting() -> Iterator[None]:
 def _to_nowhere(descriptor: int) -> Iterator[None]:
     """Redirect one file descriptor; does nothing where it is closed."""
     try:
-        kept = os.dup(descriptor)
+        original = os.dup(descriptor)
     except OSError:
         yield
         return
@@ -33,6 +42,21 @@ def _to_nowhere(descriptor: int) -> Iterator[None]:
         yield
     finally:
         ctypes.CDLL(None).fflush(None)  # C buffers its output when it goes to a pipe
-        os.dup2(kept, descriptor)
-        os.close(kept)
+        os.dup2(original, descriptor)
+        os.close(original)
         os.close(nowhere)
+
+
+@contextmanager
+def decimal_points() -> Iterator[None]:
+    """Let C code read numbers of files with a decimal point meanwhile, whatever locale the process has.
+
+    With a decimal comma Bullet reads -1.745 as -1 and says nothing.
+    """
+    with _LOCK:
+        original = locale.setlocale(locale.LC_NUMERIC)
+        locale.setlocale(locale.LC_NUMERIC, "C")
+        try:
+            yield
+        finally:
+            locale.setlocale(locale.LC_NUMERIC, original)

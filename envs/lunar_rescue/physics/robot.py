@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.physics.simulation import ROBOT_FILE, SUBSTEP, Simulation
+from lunar_rescue.physics.client import ROBOT_FILE
+from lunar_rescue.physics.simulation import SUBSTEP, Simulation
 
 Array = NDArray[np.float64]
 

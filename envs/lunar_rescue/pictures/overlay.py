@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from lunar_rescue.physics.robot import ARMS
-from lunar_rescue.pictures.rendering import Camera, Picture, base_frame
+from lunar_rescue.pictures.camera import Camera
+from lunar_rescue.pictures.rendering import Picture
+from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.tasks import TARGET_RADIUS
 
 if TYPE_CHECKING:

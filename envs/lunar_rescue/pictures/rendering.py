@@ -8,21 +8,17 @@ not move: it is drawn once for each scene and camera.
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.robot import ARM_JOINTS, ARMS
-from lunar_rescue.physics.simulation import ROBOT_FILE, Stage
 from lunar_rescue.pictures import regolith, shapes
-from lunar_rescue.scenes.suit import mass_properties
+from lunar_rescue.pictures.camera import SUN_CELLS, Camera, scene_camera, sun_camera
+from lunar_rescue.pictures.stage import Stage
+from lunar_rescue.pictures.stage_set import GAMMA, StageSet
 
 if TYPE_CHECKING:
     from lunar_rescue.episode import Episode
@@ -32,121 +28,13 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
-SIZE = (480, 352)  # px, multiples of 16 as films want them
-DISTANCE = 3.1  # m, camera from the point between robot and astronaut
-PITCH = -18.0  # deg
-TURN = 68.0  # deg, camera beside the line from robot to astronaut
-GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
-FIELD_OF_VIEW = 42.0  # deg, upright
-NEAR, FAR = 0.3, 90.0  # m
-SUN_BESIDE, SUN_HEIGHT = -72.0, 33.0  # deg, the sun stands beside the camera, so that shapes show
-SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that cast shadows, cells of the shadow map
 SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments throw back into the shadows
 WHITE = (1.0, 1.0, 1.0)
-GAMMA = 2.2
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Where a picture is taken from.
-
-    Attributes:
-        target: Point looked at, in the scene (3,) [m].
-        distance: From there [m].
-        yaw: Heading of the view; 0 looks along y [deg].
-        pitch: Negative looks down [deg].
-        size: Width and height [px].
-        upright: Turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera.
-        field_of_view: Upright [deg].
-        near: Nearest that is seen [m].
-        far: Furthest that is seen [m].
-    """
-
-    target: tuple[float, float, float]
-    distance: float = DISTANCE
-    yaw: float = 0.0
-    pitch: float = PITCH
-    size: tuple[int, int] = SIZE
-    upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    field_of_view: float = FIELD_OF_VIEW
-    near: float = NEAR
-    far: float = FAR
-
-    @cached_property
-    def view(self) -> Array:
-        """Scene to camera, (4, 4)."""
-        turn = Rotation.from_euler("zx", [-self.yaw, -90.0 - self.pitch], degrees=True).as_matrix()
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn @ np.array(self.upright)
-        matrix[:3, 3] = -matrix[:3, :3] @ np.array(self.target) - [0.0, 0.0, self.distance]
-        return matrix
-
-    @cached_property
-    def projection(self) -> Array:
-        """Camera to clip coordinates, (4, 4)."""
-        f = 1.0 / np.tan(np.radians(self.field_of_view) / 2)
-        near, far = self.near, self.far
-        matrix = np.zeros((4, 4))
-        matrix[0, 0], matrix[1, 1] = f * self.size[1] / self.size[0], f
-        matrix[2, 2], matrix[2, 3], matrix[3, 2] = (far + near) / (near - far), 2 * far * near / (near - far), -1.0
-        return matrix
-
-    @property
-    def eye(self) -> Array:
-        """Where the camera is in the scene, (3,) [m]."""
-        return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
-
-    def project(self, points: Array) -> Array:
-        """Pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
-        seen = points @ self.view[:3, :3].T + self.view[:3, 3]
-        depth = -seen[:, 2]
-        across = self.projection[0, 0] * seen[:, 0] / depth
-        up = self.projection[1, 1] * seen[:, 1] / depth
-        width, height = self.size
-        return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
-
-    def pixels_per_metre(self, depth: float) -> float:
-        """How large a metre looks at this depth [m]."""
-        return float(self.projection[1, 1] * self.size[1] / 2 / depth)
-
-    def depth_in_metres(self, depth: Floats) -> Floats:
-        """Depth along the view [m] from the renderer's [0, 1]."""
-        near, far = np.float32(self.near), np.float32(self.far)
-        return near * far / (far - depth * (far - near))
-
-    def rays(self) -> Floats:
-        """Vectors in the scene from the camera through each pixel to depth 1, (height, width, 3)."""
-        width, height = self.size
-        x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
-        y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
-        gx, gy = np.meshgrid(x, y)
-        rays: Floats = (np.stack([gx, gy, -np.ones_like(gx)], -1) @ self.view[:3, :3]).astype(np.float32)
-        return rays
-
-
-def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
-    """The camera beside the robot, looking at robot and astronaut; ``turn`` [deg] leads it round them."""
-    x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
-    z = float(scene.terrain.height(x, y))
-    yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
-    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=_upright(scene))
-
-
-def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
-    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
-    return tuple(tuple(row) for row in turn.as_matrix().tolist())
 
 
 def ground_mesh(scene: Scene, camera: Camera) -> shapes.Mesh:
     """The ground as it is drawn for this camera."""
     return shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
-
-
-def base_frame(episode: Episode) -> tuple[Array, Array]:
-    """Origin (3,) [m] and axes (3, 3), in columns, of the robot's base in the scene."""
-    origin = episode.observer.to_base(np.zeros((1, 3)))
-    axes = (episode.observer.to_base(np.eye(3)) - origin).T
-    return -axes.T @ origin[0], axes.T
 
 
 @dataclass(frozen=True)
@@ -269,97 +157,6 @@ class Studio:
         nearest = away - np.float32(0.04)
         lit = sum((flat.take(tap, mode="clip") > nearest).astype(np.float32) for tap in taps)
         return np.asarray(lit / np.float32(len(taps)), np.float32)
-
-
-class StageSet:
-    """The bodies of a scene on a stage, moved as the episode goes."""
-
-    def __init__(self, stage: Stage) -> None:
-        """Keep the stage, on which nothing stands yet."""
-        self.stage = stage
-        self._scene: Scene | None = None
-        self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
-        self._robot_file = Path(self._folder.name) / "robot.urdf"
-        shapes.robot_with_details(ROBOT_FILE, self._robot_file)
-
-    def close(self) -> None:
-        """Free stage and files."""
-        self.stage.close()
-        self._folder.cleanup()
-
-    def show(
-        self, episode: Episode, colour: tuple[float, float, float] | None = None, upright: Array | None = None
-    ) -> bool:
-        """Put everything where it is in the episode; return whether the scene is a new one.
-
-        Args:
-            episode: The episode.
-            colour: One colour for all (the true ones are in ``colours``), or None for the true ones.
-            upright: Turns everything about the origin (3, 3), for a camera that cannot lean.
-        """
-        new = episode.scene is not self._scene
-        turn = np.eye(3) if upright is None else upright
-        if new:
-            self._build(episode.scene, colour)
-            self._scene = episode.scene
-            for handle in self._stones:
-                self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
-            origin, axes = base_frame(episode)
-            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
-        self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
-        centre, quaternion = suit_pose(episode, turn)
-        self.stage.place(self._suit, centre, quaternion)
-        return new
-
-    @property
-    def robot(self) -> int:
-        """The robot's handle on the stage."""
-        return self._robot
-
-    def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
-        self.stage.clear()
-        self._robot, joints, links = self.stage.add_robot(self._robot_file)
-        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
-        self._joints = [joints[name] for name in names]
-        suit = shapes.suit_shapes(scene.model.limbs)
-        self._suit = self._add(suit, colour)
-        self._stones = stones = [
-            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
-        ]
-        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
-        for link, own in links.items():
-            self.colours[self._robot, link + 1] = own
-            self.stage.paint(self._robot, link, colour or own)
-        self.colours[self._suit, : len(suit)] = list(suit)
-        self.colours[stones] = shapes.BASALT
-        self.colours **= GAMMA
-        self.rocky = np.isin(np.arange(len(self.colours)), stones)
-
-    def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
-        return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
-
-
-def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
-    """Place (3,) [m] and quaternion (4,), x y z w, of the suit's meshes; ``turn`` turns all about the origin (3, 3)."""
-    turn = np.eye(3) if turn is None else turn
-    rotation = turn @ episode.body.rotation
-    centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
-    return centre, Rotation.from_matrix(rotation).as_quat()
-
-
-def sun_camera(camera: Camera) -> Camera:
-    """The sun as a camera that sees the middle of the scene; it stands beside the camera."""
-    opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
-    return replace(
-        camera,
-        distance=SUN_AWAY,
-        yaw=camera.yaw + SUN_BESIDE,
-        pitch=-SUN_HEIGHT,
-        size=(SUN_CELLS, SUN_CELLS),
-        field_of_view=opening,
-        near=SUN_AWAY - 5.0,
-        far=SUN_AWAY + 5.0,
-    )
 
 
 def _look(stage: Stage, camera: Camera, sun: Camera) -> tuple[Floats, Floats, NDArray[np.int64]]:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.physics.simulation import Stage
+from lunar_rescue.physics.client import pb
 from lunar_rescue.pictures import regolith
+from lunar_rescue.pictures.camera import scene_camera
 from lunar_rescue.pictures.overlay import (
     ARM_COLOURS,
     MARK_COLOUR,
@@ -22,7 +23,9 @@ from lunar_rescue.pictures.overlay import (
     nearest_links,
     subgoals_in_scene,
 )
-from lunar_rescue.pictures.rendering import StageSet, ground_mesh, scene_camera
+from lunar_rescue.pictures.rendering import ground_mesh
+from lunar_rescue.pictures.stage import Stage
+from lunar_rescue.pictures.stage_set import StageSet
 
 if TYPE_CHECKING:
     from lunar_rescue.episode import Episode
@@ -40,7 +43,7 @@ def why_no_window() -> str | None:
     """
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return "no display: neither DISPLAY nor WAYLAND_DISPLAY is set"
-    attempt = "from lunar_rescue.physics.simulation import Stage; Stage(window=True).close()"
+    attempt = "from lunar_rescue.pictures.window import WindowStage; WindowStage().close()"
     try:
         done = subprocess.run([sys.executable, "-c", attempt], capture_output=True, timeout=PROBE_SECONDS, check=False)
     except subprocess.TimeoutExpired:
@@ -50,17 +53,78 @@ def why_no_window() -> str | None:
     return f"PyBullet's window does not open on display {os.environ.get('DISPLAY', '')!r} (needs X with OpenGL 3.3)"
 
 
+class WindowStage(Stage):
+    """A stage that is seen in PyBullet's window."""
+
+    def __init__(self) -> None:
+        super().__init__(pb.GUI)
+        self._client.configureDebugVisualizer(pb.COV_ENABLE_GUI, 0)
+        self._client.configureDebugVisualizer(rgbBackground=(0, 0, 0))
+        self._client.configureDebugVisualizer(lightPosition=(6, -8, 9), shadowMapResolution=4096)
+        self._drawn: list[int] = []
+        self._words: list[int] = []
+        self._points = -1
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is still a window to draw in."""
+        return self._client is not None and bool(self._client.isConnected())
+
+    def clear(self) -> None:
+        """Take everything away; handles begin anew."""
+        super().clear()
+        self._drawn, self._words, self._points = [], [], -1
+
+    def aim(self, target: Array, distance: float, yaw: float, pitch: float) -> None:
+        """Point the window's camera; angles [deg], distance [m]."""
+        self._client.resetDebugVisualizerCamera(distance, yaw, pitch, target.tolist())
+
+    def draw(
+        self,
+        lines: list[tuple[Array, Array, tuple[float, ...]]],
+        points: tuple[Array, Array],
+        words: list[str],
+        place: Array,
+    ) -> None:
+        """Draw into the window, instead of what the last call drew; every item costs the window a frame.
+
+        Args:
+            lines: Start (3,), end (3,) [m] and colour of each.
+            points: Places (n, 3) [m] and colours (n, 3).
+            words: Lines of text.
+            place: Where the first of them begins (3,) [m].
+        """
+        self._points = self._client.addUserDebugPoints(
+            points[0].tolist(), points[1].tolist(), 5.0, replaceItemUniqueId=self._points
+        )
+        drawn = self._drawn + [-1] * (len(lines) - len(self._drawn))
+        for index, (start, end, colour) in enumerate(lines):
+            drawn[index] = self._client.addUserDebugLine(
+                start.tolist(), end.tolist(), colour, 3.0, replaceItemUniqueId=drawn[index]
+            )
+        for item in drawn[len(lines) :]:
+            self._client.removeUserDebugItem(item)
+        self._drawn = drawn[: len(lines)]
+        below = np.array([0.0, 0.0, 0.09])
+        self._words += [-1] * (len(words) - len(self._words))
+        for index, line in enumerate(words):
+            self._words[index] = self._client.addUserDebugText(
+                line, (place - index * below).tolist(), (1, 1, 1), 1.1, replaceItemUniqueId=self._words[index]
+            )
+
+
 class Window:
     """Shows episodes in PyBullet's window; make one only where ``why_no_window`` gives no reason against it."""
 
     def __init__(self) -> None:
         """Open the window."""
-        self._set = StageSet(Stage(window=True))
+        self._stage = WindowStage()
+        self._set = StageSet(self._stage)
 
     @property
     def is_open(self) -> bool:
         """Whether somebody can still see it."""
-        return self._set.stage.is_open
+        return self._stage.is_open
 
     def close(self) -> None:
         """Close the window."""
@@ -74,7 +138,7 @@ class Window:
             subgoals: Of arm A and arm B in the robot's base frame (2, 3) [m], if the policy has any.
             note: Added to the caption.
         """
-        stage, camera = self._set.stage, scene_camera(episode.scene)
+        stage, camera = self._stage, scene_camera(episode.scene)
         turn = np.array(camera.upright)
         middle = turn @ np.array(camera.target)
         if self._set.show(episode, upright=turn):

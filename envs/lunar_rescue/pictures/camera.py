@@ -1,0 +1,133 @@
+"""The camera of a picture: from the scene to pixels and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from lunar_rescue.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+SIZE = (480, 352)  # px, multiples of 16 as films want them
+DISTANCE = 3.1  # m, camera from the point between robot and astronaut
+PITCH = -18.0  # deg
+TURN = 68.0  # deg, camera beside the line from robot to astronaut
+GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
+FIELD_OF_VIEW = 42.0  # deg, upright
+NEAR, FAR = 0.3, 90.0  # m
+SUN_BESIDE, SUN_HEIGHT = -72.0, 33.0  # deg, the sun stands beside the camera, so that shapes show
+SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that cast shadows, cells of the shadow map
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from.
+
+    Attributes:
+        target: Point looked at, in the scene (3,) [m].
+        distance: From there [m].
+        yaw: Heading of the view; 0 looks along y [deg].
+        pitch: Negative looks down [deg].
+        size: Width and height [px].
+        upright: Turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera.
+        field_of_view: Upright [deg].
+        near: Nearest that is seen [m].
+        far: Furthest that is seen [m].
+    """
+
+    target: tuple[float, float, float]
+    distance: float = DISTANCE
+    yaw: float = 0.0
+    pitch: float = PITCH
+    size: tuple[int, int] = SIZE
+    upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    field_of_view: float = FIELD_OF_VIEW
+    near: float = NEAR
+    far: float = FAR
+
+    @cached_property
+    def view(self) -> Array:
+        """Scene to camera, (4, 4)."""
+        turn = Rotation.from_euler("zx", [-self.yaw, -90.0 - self.pitch], degrees=True).as_matrix()
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn @ np.array(self.upright)
+        matrix[:3, 3] = -matrix[:3, :3] @ np.array(self.target) - [0.0, 0.0, self.distance]
+        return matrix
+
+    @cached_property
+    def projection(self) -> Array:
+        """Camera to clip coordinates, (4, 4)."""
+        f = 1.0 / np.tan(np.radians(self.field_of_view) / 2)
+        near, far = self.near, self.far
+        matrix = np.zeros((4, 4))
+        matrix[0, 0], matrix[1, 1] = f * self.size[1] / self.size[0], f
+        matrix[2, 2], matrix[2, 3], matrix[3, 2] = (far + near) / (near - far), 2 * far * near / (near - far), -1.0
+        return matrix
+
+    @property
+    def eye(self) -> Array:
+        """Where the camera is in the scene, (3,) [m]."""
+        return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
+
+    def project(self, points: Array) -> Array:
+        """Pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
+        seen = points @ self.view[:3, :3].T + self.view[:3, 3]
+        depth = -seen[:, 2]
+        across = self.projection[0, 0] * seen[:, 0] / depth
+        up = self.projection[1, 1] * seen[:, 1] / depth
+        width, height = self.size
+        return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
+
+    def pixels_per_metre(self, depth: float) -> float:
+        """How large a metre looks at this depth [m]."""
+        return float(self.projection[1, 1] * self.size[1] / 2 / depth)
+
+    def depth_in_metres(self, depth: Floats) -> Floats:
+        """Depth along the view [m] from the renderer's [0, 1]."""
+        near, far = np.float32(self.near), np.float32(self.far)
+        return near * far / (far - depth * (far - near))
+
+    def rays(self) -> Floats:
+        """Vectors in the scene from the camera through each pixel to depth 1, (height, width, 3)."""
+        width, height = self.size
+        x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
+        y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
+        gx, gy = np.meshgrid(x, y)
+        rays: Floats = (np.stack([gx, gy, -np.ones_like(gx)], -1) @ self.view[:3, :3]).astype(np.float32)
+        return rays
+
+
+def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
+    """The camera beside the robot, looking at robot and astronaut; ``turn`` [deg] leads it round them."""
+    x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
+    z = float(scene.terrain.height(x, y))
+    yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
+    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=_upright(scene))
+
+
+def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
+    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
+    return tuple(tuple(row) for row in turn.as_matrix().tolist())
+
+
+def sun_camera(camera: Camera) -> Camera:
+    """The sun as a camera that sees the middle of the scene; it stands beside the camera."""
+    opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
+    return replace(
+        camera,
+        distance=SUN_AWAY,
+        yaw=camera.yaw + SUN_BESIDE,
+        pitch=-SUN_HEIGHT,
+        size=(SUN_CELLS, SUN_CELLS),
+        field_of_view=opening,
+        near=SUN_AWAY - 5.0,
+        far=SUN_AWAY + 5.0,
+    )

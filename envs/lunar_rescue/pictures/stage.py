@@ -1,0 +1,152 @@
+"""Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.physics.client import Client, pb
+
+Array = NDArray[np.float64]
+
+#: Geometries of ``Stage.visual_shapes``.
+_SHAPES = {
+    pb.GEOM_SPHERE: "sphere",
+    pb.GEOM_BOX: "box",
+    pb.GEOM_CYLINDER: "cylinder",
+    pb.GEOM_CAPSULE: "capsule",
+    pb.GEOM_MESH: "mesh",
+}
+
+
+@dataclass(frozen=True)
+class VisualShape:
+    """One shape of a link.
+
+    Attributes:
+        link: Its index, -1 for the base.
+        kind: sphere, box, cylinder, capsule or mesh.
+        size: Extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m].
+        position: In the link's frame [m].
+        quaternion: In the link's frame, x y z w.
+        colour: Red, green, blue from 0 to 1.
+    """
+
+    link: int
+    kind: str
+    size: tuple[float, float, float]
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+    colour: tuple[float, float, float]
+
+
+class Stage(Client):
+    """A world of things to be seen."""
+
+    def add_mesh(self, *pieces: tuple[Array, Array, NDArray[np.int64], tuple[float, ...]]) -> int:
+        """Add one body of triangles; each piece has corners (V, 3) [m], normals (V, 3), indices (F, 3) and a colour.
+
+        The first piece is the body's base, each other one a link of it.
+        """
+        first, *rest = [
+            self._client.createVisualShape(
+                pb.GEOM_MESH,
+                vertices=vertices.tolist(),
+                indices=faces.ravel().tolist(),
+                normals=normals.tolist(),
+                uvs=[(0.0, 0.0)] * len(vertices),
+                rgbaColor=(*colour, 1.0),
+                specularColor=(0, 0, 0),
+            )
+            for vertices, normals, faces, colour in pieces
+        ]
+        nowhere, level = [(0.0, 0.0, 0.0)] * len(rest), [(0.0, 0.0, 0.0, 1.0)] * len(rest)
+        body = self._client.createMultiBody(
+            0,
+            -1,
+            first,
+            linkMasses=[0.0] * len(rest),
+            linkCollisionShapeIndices=[-1] * len(rest),
+            linkVisualShapeIndices=rest,
+            linkPositions=nowhere,
+            linkOrientations=level,
+            linkInertialFramePositions=nowhere,
+            linkInertialFrameOrientations=level,
+            linkParentIndices=[0] * len(rest),
+            linkJointTypes=[pb.JOINT_FIXED] * len(rest),
+            linkJointAxis=[(0.0, 0.0, 1.0)] * len(rest),
+        )
+        return int(body)
+
+    def add_robot(self, path: Path) -> tuple[int, dict[str, int], dict[int, tuple[float, ...]]]:
+        """Load a robot file; return its handle, the joints' indices by name and the links' colours by index."""
+        handle = self._load_urdf(path)
+        rows = [self._client.getJointInfo(handle, i) for i in range(self._client.getNumJoints(handle))]
+        colours = {int(row[1]): tuple(row[7][:3]) for row in self._client.getVisualShapeData(handle)}
+        return handle, {row[1].decode(): row[0] for row in rows}, colours
+
+    def visual_shapes(self, handle: int) -> list[VisualShape]:
+        """What of a body is seen."""
+        return [
+            VisualShape(int(row[1]), _SHAPES[row[2]], tuple(row[3]), tuple(row[5]), tuple(row[6]), tuple(row[7][:3]))
+            for row in self._client.getVisualShapeData(handle)
+        ]
+
+    def link_poses(self, handle: int) -> dict[int, tuple[Array, Array]]:
+        """Place (3,) [m] and quaternion (4,), x y z w, of each link's frame; -1 is the base."""
+        links = range(self._client.getNumJoints(handle))
+        poses = {-1: self._client.getBasePositionAndOrientation(handle)}
+        states = self._client.getLinkStates(handle, list(links), computeForwardKinematics=True)
+        poses |= {link: state[4:6] for link, state in zip(links, states, strict=True)}
+        return {link: (np.array(place), np.array(turn)) for link, (place, turn) in poses.items()}
+
+    def paint(self, handle: int, link: int, colour: tuple[float, ...]) -> None:
+        """Give one link (-1 is the base) another colour."""
+        self._client.changeVisualShape(handle, link, rgbaColor=(*colour, 1.0))
+
+    def clear(self) -> None:
+        """Take everything away; handles begin anew."""
+        self._client.resetSimulation()
+
+    def place(self, handle: int, position: Array, quaternion: Array) -> None:
+        """Put a body somewhere."""
+        self._client.resetBasePositionAndOrientation(handle, position.tolist(), quaternion.tolist())
+
+    def turn_joints(self, handle: int, joints: list[int], angles: Array) -> None:
+        """Set joint angles [rad]."""
+        self._client.resetJointStatesMultiDof(handle, joints, [(a,) for a in angles.tolist()], [(0.0,)] * len(joints))
+
+    def look(
+        self, view: Array, projection: Array, size: tuple[int, int], sun: Array
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """What a camera sees by the software renderer, all (height, width).
+
+        Args:
+            view: World to camera (4, 4).
+            projection: Camera to clip coordinates (4, 4), with perspective: the renderer draws no other.
+            size: Width and height [px].
+            sun: Towards the light (3,).
+
+        Returns:
+            Cosine between surface and light (of what is white), depth in [0, 1], and the body seen with its link in
+            the upper bits, -1 for nothing.
+        """
+        width, height = size
+        _, _, colours, depth, bodies = self._client.getCameraImage(
+            width,
+            height,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            renderer=pb.ER_TINY_RENDERER,
+            flags=pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            shadow=0,
+            lightDirection=sun.tolist(),
+            lightAmbientCoeff=0.0,
+            lightDiffuseCoeff=1.0,
+            lightSpecularCoeff=0.0,
+        )
+        shade = (np.reshape(colours, (height, width, 4))[:, :, 0] / 255).astype(np.float32)
+        return shade, np.reshape(depth, (height, width)), np.reshape(bodies, (height, width))

@@ -1,0 +1,107 @@
+"""The bodies of a scene on a stage, moved as the episode goes."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lunar_rescue.physics.client import ROBOT_FILE
+from lunar_rescue.physics.robot import JOINT_NAMES
+from lunar_rescue.pictures import shapes
+from lunar_rescue.pictures.stage import Stage
+from lunar_rescue.scenes.suit import mass_properties
+
+if TYPE_CHECKING:
+    from lunar_rescue.episode import Episode
+    from lunar_rescue.scenes.scene import Scene
+
+Array = NDArray[np.float64]
+
+GAMMA = 2.2  # from brightness to what screens expect
+
+
+def base_frame(episode: Episode) -> tuple[Array, Array]:
+    """Origin (3,) [m] and axes (3, 3), in columns, of the robot's base in the scene."""
+    origin = episode.observer.to_base(np.zeros((1, 3)))
+    axes = (episode.observer.to_base(np.eye(3)) - origin).T
+    return -axes.T @ origin[0], axes.T
+
+
+class StageSet:
+    """The bodies of a scene on a stage, moved as the episode goes."""
+
+    def __init__(self, stage: Stage) -> None:
+        """Keep the stage, on which nothing stands yet."""
+        self.stage = stage
+        self._scene: Scene | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
+        self._robot_file = Path(self._folder.name) / "robot.urdf"
+        shapes.robot_with_details(ROBOT_FILE, self._robot_file)
+
+    def close(self) -> None:
+        """Free stage and files."""
+        self.stage.close()
+        self._folder.cleanup()
+
+    def show(
+        self, episode: Episode, colour: tuple[float, float, float] | None = None, upright: Array | None = None
+    ) -> bool:
+        """Put everything where it is in the episode; return whether the scene is a new one.
+
+        Args:
+            episode: The episode.
+            colour: One colour for all (the true ones are in ``colours``), or None for the true ones.
+            upright: Turns everything about the origin (3, 3), for a camera that cannot lean.
+        """
+        new = episode.scene is not self._scene
+        turn = np.eye(3) if upright is None else upright
+        if new:
+            self._build(episode.scene, colour)
+            self._scene = episode.scene
+            for handle in self._stones:
+                self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
+            origin, axes = base_frame(episode)
+            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
+        self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
+        centre, quaternion = suit_pose(episode, turn)
+        self.stage.place(self._suit, centre, quaternion)
+        return new
+
+    @property
+    def robot(self) -> int:
+        """The robot's handle on the stage."""
+        return self._robot
+
+    def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
+        self.stage.clear()
+        self._robot, joints, links = self.stage.add_robot(self._robot_file)
+        self._joints = [joints[name] for name in JOINT_NAMES]
+        suit = shapes.suit_shapes(scene.model.limbs)
+        self._suit = self._add(suit, colour)
+        self._stones = stones = [
+            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
+        ]
+        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
+        for link, own in links.items():
+            self.colours[self._robot, link + 1] = own
+            self.stage.paint(self._robot, link, colour or own)
+        self.colours[self._suit, : len(suit)] = list(suit)
+        self.colours[stones] = shapes.BASALT
+        self.colours **= GAMMA
+        self.rocky = np.isin(np.arange(len(self.colours)), stones)
+
+    def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
+        return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
+
+
+def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
+    """Place (3,) [m] and quaternion (4,), x y z w, of the suit's meshes; ``turn`` turns all about the origin (3, 3)."""
+    turn = np.eye(3) if turn is None else turn
+    rotation = turn @ episode.body.rotation
+    centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
+    return centre, Rotation.from_matrix(rotation).as_quat()
