@@ -1,19 +1,24 @@
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env as gymnasium_check
+from gymnasium.wrappers import FlattenObservation
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
 from lunar_rescue.observation import ENTRIES, SIZE, SLICES
+from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.scene import task_distribution
 from lunar_rescue.scenes.splits import TRAIN
@@ -187,3 +192,73 @@ def test_bad_constructions_and_order() -> None:
         env.step(np.zeros(11, np.float32))
     env.close()
     assert lunar_rescue.ENV_ID in gymnasium.registry
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("of", ["env", "simulation", "robot", "episode", "studio"])
+def test_nothing_that_holds_a_world_is_copied(copied: Callable[[Any], Any], of: str) -> None:
+    env = LunarRescueEnv(render_mode="rgb_array")
+    env.reset_flat(seed=0)
+    before = env.step_flat(np.zeros(11))[0]
+    holder = {
+        "env": env,
+        "simulation": env.simulation,
+        "robot": env.robot,
+        "episode": env.episode,
+        "studio": Studio(1) if of == "studio" else None,
+    }[of]
+    with pytest.raises(TypeError, match="PyBullet world, which cannot be copied or pickled"):
+        copied(holder)
+    with pytest.raises(TypeError, match="PyBullet world"):
+        copy.copy(env)
+    env.reset_flat(seed=0)
+    assert np.array_equal(env.step_flat(np.zeros(11))[0], before)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda e: e.reset(seed=0),
+        lambda e: e.reset_flat(0),
+        lambda e: e.step(np.zeros(11, np.float32)),
+        lambda e: e.step_flat(np.zeros(11)),
+        lambda e: e.render(),
+        lambda e: e.episode,
+    ],
+    ids=["reset", "reset_flat", "step", "step_flat", "render", "episode"],
+)
+def test_a_closed_environment_says_so(call: Callable[[LunarRescueEnv], Any]) -> None:
+    env = LunarRescueEnv(render_mode="rgb_array")
+    env.reset_flat(seed=0)
+    env.close()
+    env.close()
+    with pytest.raises(gymnasium.error.ClosedEnvironmentError, match="environment is closed"):
+        call(env)
+
+
+def test_flattened_observations_have_the_order_of_the_flat_ones(env: LunarRescueEnv) -> None:
+    wrapped = FlattenObservation(env)
+    flattened, _ = wrapped.reset(seed=8)
+    assert np.array_equal(flattened, env.reset_flat(seed=8)[0])
+    assert list(env.observation_space.spaces) == [entry.key for entry in ENTRIES]  # type: ignore[attr-defined]
+
+
+def test_the_limit_of_make_is_the_only_one() -> None:
+    assert gymnasium.spec("LunarRescue-v0").max_episode_steps == 120
+    for arguments, limit in (({"max_episode_steps": 10}, 10), ({}, 120), ({"max_episode_steps": -1}, 120)):
+        made = gymnasium.make("LunarRescue-v0", **arguments)  # type: ignore[arg-type]
+        observation, _ = made.reset(seed=3_000_000)
+        assert made.unwrapped.max_steps == limit  # type: ignore[attr-defined]
+        for step in range(1, 11):
+            observation, _, _, truncated, info = made.step(made.unwrapped._zero)  # type: ignore[attr-defined]
+            assert observation["phase"][1] == pytest.approx(step / limit)
+        assert truncated is (limit == 10)
+        assert info["failure"] == ("timeout" if limit == 10 else None)
+        made.close()
+    again = gymnasium.make(gymnasium.make("LunarRescue-v0", max_episode_steps=7).spec)  # type: ignore[arg-type]
+    assert again.unwrapped.max_steps == 7  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match=r"max_steps: expected max_episode_steps=9 .* has 120"):
+        gymnasium.make("LunarRescue-v0", max_steps=9)
+    made = gymnasium.make("LunarRescue-v0", max_steps=9, max_episode_steps=-1)
+    assert made.unwrapped.max_steps == 9  # type: ignore[attr-defined]

@@ -1,16 +1,22 @@
 """lunar_rescue: the rescue of a fallen astronaut by a two-armed lunar robot, as a Gymnasium environment."""
 
 import gymnasium
+from gymnasium.envs.registration import WrapperSpec
 
 from lunar_rescue.env import ENVIRONMENT_VERSION, LunarRescueEnv
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import Rock
 from lunar_rescue.scenes.scene import TASKS, Scene, sample_scene
+from lunar_rescue.tasks import MAX_STEPS
 
 ENV_ID = "LunarRescue-v0"
-# The step limit lives in the environment (the time bonus needs it), so Gymnasium adds no second one.
-gymnasium.register(id=ENV_ID, entry_point="lunar_rescue.env:LunarRescueEnv")
+gymnasium.register(
+    id=ENV_ID,
+    entry_point="lunar_rescue.env:LunarRescueEnv",
+    max_episode_steps=MAX_STEPS,
+    additional_wrappers=(WrapperSpec("StepLimit", "lunar_rescue.env:StepLimit", {}),),
+)
 
 __all__ = [
     "ENVIRONMENT_VERSION",

@@ -12,24 +12,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue import rewards
-from lunar_rescue.episode import Episode
-from lunar_rescue.observation import Observer, as_dict, observation_space
-from lunar_rescue.physics.astronaut import Astronaut
+from lunar_rescue.contacts import body_contacts, both_arms_under, mark_distances, touches_rock
+from lunar_rescue.episode import Episode, begin_episode
+from lunar_rescue.observation import as_dict, observation_space
+from lunar_rescue.physics.client import NotCopied
 from lunar_rescue.physics.robot import CONTROL_SUBSTEPS, JOINTS, Robot
 from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import Scene, sample_scene
 from lunar_rescue.scenes.splits import TRAIN
-from lunar_rescue.tasks import (
-    BEARING_FORCE,
-    HOLD_STEPS,
-    MAX_STEPS,
-    SMALLEST_ERROR,
-    TARGET_RADIUS,
-    TASK_TYPES,
-    Contacts,
-)
+from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS
 
 if TYPE_CHECKING:
     from lunar_rescue.pictures.rendering import Studio
@@ -38,13 +30,9 @@ Array = NDArray[np.float64]
 ENVIRONMENT_VERSION = "1.0"  # a change to what an episode does is a new version, see docs/environment.md
 #: What the info of an episode's last step tells about how it ended.
 OUTCOME = ("is_success", "both_arms_under", "failure", "task", "posture")
-RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
-PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
-PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
-REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
 
 
-class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
+class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
     """A two-armed robot gets its arms under a fallen astronaut and lifts them or turns them over.
 
     Action: Eq. 3 for the ten arm joints (arm A, arm B), then the waist, all in [-1, 1], (11,).
@@ -74,19 +62,24 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
         if obstacle_reward not in ("aapf", "contact"):
             raise ValueError(f"obstacle_reward: expected 'aapf' or 'contact', got {obstacle_reward!r}")
-        if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
-            raise ValueError(f"max_steps: expected an integer >= 1, got {max_steps!r}")
         self.render_mode = render_mode
         self.weights = weights or RewardWeights()
         self.obstacle_reward = obstacle_reward
-        self.max_steps = max_steps
+        self.set_max_steps(max_steps)
         self.observation_space: spaces.Space[Any] = observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
         self.simulation = Simulation()
         self.robot = Robot(self.simulation)
+        self._closed = False
         self._episode: Episode | None = None
         self._studio: Studio | None = None  # made with the first picture
         self._zero = np.zeros(JOINTS)
+
+    def set_max_steps(self, max_steps: int) -> None:
+        """Set phi_max, to which time bonus, ``phase`` and truncation count from the next step on."""
+        if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
+            raise ValueError(f"max_steps: expected an integer >= 1, got {max_steps!r}")
+        self.max_steps = max_steps
 
     # -- Gymnasium's interface -------------------------------------------------------------------------------------
     def reset(
@@ -105,6 +98,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture (height, width, 3), or None without a render mode."""
+        self._check_open()
         if self.render_mode is None:
             return None
         if self._studio is None:
@@ -114,7 +108,8 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         return self._studio.picture(self.episode)
 
     def close(self) -> None:
-        """Disconnect from the simulator; a second call does nothing."""
+        """Disconnect from the simulator; a second call does nothing, and any other is an error."""
+        self._closed = True
         self.simulation.close()
         if self._studio is not None:
             self._studio.close()
@@ -125,9 +120,10 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """As ``reset``, with the observation as one vector (SIZE,)."""
+        self._check_open()
         super().reset(seed=seed)
         scene = self._choose_scene(seed, dict(options or {}))
-        self._episode = self._build(scene)
+        self._episode = self._begin(scene)
         return self._observe(self._zero), {"scene": scene, "task": scene.task, "posture": scene.posture}
 
     def step_flat(
@@ -147,10 +143,15 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     @property
     def episode(self) -> Episode:
-        """The episode under way."""
+        """Return the episode under way."""
+        self._check_open()
         if self._episode is None:
             raise RuntimeError("LunarRescue-v0: call reset() before step() or render()")
         return self._episode
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise gymnasium.error.ClosedEnvironmentError("LunarRescue-v0: the environment is closed; make a new one")
 
     # -- parts -------------------------------------------------------------------------------------------------------
     def _choose_scene(self, seed: int | None, options: dict[str, Any]) -> Scene:
@@ -167,41 +168,14 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             seed = int(self.np_random.integers(TRAIN.start, TRAIN.stop))
         return sample_scene(seed, posture=posture, task=task)
 
-    def _build(self, scene: Scene) -> Episode:
-        simulation, terrain = self.simulation, scene.terrain
-        if simulation.needs_rebuild:
-            simulation.renew()
-            self.robot = Robot(simulation)
+    def _begin(self, scene: Scene) -> Episode:
+        """Clear the world of the last episode, or make it anew when it is due, and build a scene."""
+        if self.simulation.needs_rebuild:
+            self.simulation.renew()
+            self.robot = Robot(self.simulation)
         self.robot.rest()
-        simulation.clear([self.robot.handle])
-        simulation.set_up_vector(terrain.up())
-        simulation.set_friction(scene.friction, [(self.robot.handle, self.robot.links)])
-        self.robot.reset(scene.base_x, scene.base_y, scene.base_yaw)
-        astronaut = Astronaut(simulation, scene)
-        if terrain.rough:
-            simulation.add_relief(terrain)
-        rocks = [simulation.add_rock(rock) for rock in scene.rocks]
-        marks = rock_marks(scene.rocks)
-        robot, body = self.robot.state(fresh=True), astronaut.state()
-        targets = astronaut.targets(body)
-        left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
-        order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
-        observer = Observer(scene, self.robot, targets[order], (targets + astronaut.ways_in)[order], marks)
-        task = TASK_TYPES[scene.task](astronaut.start)
-        episode = Episode(
-            scene,
-            astronaut,
-            task,
-            observer,
-            rocks,
-            marks,
-            order,
-            robot,
-            body,
-            deque(maxlen=self.weights.memory),
-        )
-        episode.recent.append(episode.distances())
-        return episode
+        self.simulation.clear([self.robot.handle])
+        return begin_episode(self.simulation, self.robot, scene, self.weights.memory)
 
     def _observe(self, action: Array) -> NDArray[np.float32]:
         e = self.episode
@@ -210,15 +184,15 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
 
     def _judge(self, e: Episode, moved: Array) -> tuple[dict[str, float], bool, str | None]:
         """Update the episode's memory; return reward terms, success and failure."""
-        clearance = self._mark_distances(e)
+        clearance = mark_distances(e)
         e.nearest_mark = min(e.nearest_mark, clearance.min(initial=math.inf))
-        touches = self._touches_rock(e, clearance)
+        touches = touches_rock(self.simulation, self.robot, e, clearance)
         e.rock_contact = e.rock_contact or touches
         distance = e.distances() if e.process == 1 else np.full(2, e.task.pose_error(e.body))
         best = _least(e.recent)
         e.recent.append(distance)
-        both_under = e.process == 1 and self._both_under(e, distance)
-        if both_under:
+        under = e.process == 1 and both_arms_under(self.simulation, e, distance)
+        if under:
             e.process = 2
             e.recent.clear()
             e.recent.append(np.full(2, e.task.pose_error(e.body)))
@@ -233,7 +207,7 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
             contact_reward=self.obstacle_reward == "contact",
             steps=e.steps,
             max_steps=self.max_steps,
-            both_arms_under=both_under,
+            both_arms_under=under,
             success=success,
             failed=failure is not None,
         )
@@ -241,48 +215,17 @@ class LunarRescueEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.fl
         e.aapf = rewards.aapf(step, self.weights) if step.contact_reward else terms["obstacle_avoidance"]
         return terms, success, failure
 
-    def _mark_distances(self, e: Episode) -> Array:
-        """Distances of every joint to every mark point, (12, m) [m]."""
-        between = e.robot.points[:, None, :] - e.marks[None, :, :]
-        return np.sqrt(np.einsum("ijk,ijk->ij", between, between)) + 1e-9
-
-    def _touches_rock(self, e: Episode, clearance: Array) -> bool:
-        if not e.rocks or clearance.min() > REACH_OF_LINK:
-            return False
-        near = clearance.min(axis=0).reshape(len(e.rocks), -1).min(axis=1) < REACH_OF_LINK
-        return any(self.simulation.touching(self.robot.handle, e.rocks[i]) for i in np.flatnonzero(near))
-
-    def _both_under(self, e: Episode, distance: Array) -> bool:
-        """Process 1: both ends in their target areas, with the astronaut above them."""
-        if e.rock_contact or distance.max() > TARGET_RADIUS + SMALLEST_ERROR:
-            return False
-        return all(map(self._is_under, e.robot.ends, e.robot.directions))
-
-    def _is_under(self, end: Array, direction: Array) -> bool:
-        """Whether the body is straight above some point along the plate."""
-        handle = self.episode.astronaut.handle
-        points = (end + along * direction + PLATE_TOP for along in PLATE_POINTS)
-        return any(self.simulation.ray_hits(point, point + RAY, handle) for point in points)
-
     def _succeeds(self, e: Episode) -> bool:
         """Process 2: the pose held for ``HOLD_STEPS``, after process 1."""
-        right = e.process == 2 and e.task.pose_reached(e.body) and e.task.contacts_right(self.contacts())
-        e.held = e.held + 1 if right else 0
+        held = e.process == 2 and e.task.pose_reached(e.body)
+        held = held and e.task.contacts_right(body_contacts(self.simulation, self.robot, e))
+        e.held = e.held + 1 if held else 0
         return e.held >= HOLD_STEPS
 
     def _fails(self, e: Episode, touches: bool) -> str | None:
         if touches and e.process == 1:
             return "obstacle_contact"  # criterion (2) of section 4.2 can no longer be met
         return e.task.failure(e.body, e.process)
-
-    def contacts(self) -> Contacts:
-        """Who touches the astronaut now."""
-        e = self.episode
-        handle = e.astronaut.handle
-        rows = self.simulation.contact_forces(handle, self.robot.handle)
-        up = [sum(force[2] for _, link, force in rows if link in links) for links in self.robot.arm_links]
-        bears = (bool(up[0] > BEARING_FORCE), bool(up[1] > BEARING_FORCE))
-        return Contacts(self.simulation.touching_ground(handle), bears)
 
     def _info(self, e: Episode, terms: dict[str, float], success: bool, failure: str | None) -> dict[str, Any]:
         return {
@@ -305,3 +248,24 @@ def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
     if array.shape != (JOINTS,) or not math.isfinite(array.sum()):
         raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
     return np.minimum(np.maximum(array, -1.0), 1.0)
+
+
+class StepLimit(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """Tell the environment the limit that ``gymnasium.make`` was given, so that there is only one.
+
+    Gymnasium's ``TimeLimit`` truncates from outside and tells nobody; the environment's own limit, to which time bonus
+    and ``phase`` count, follows it.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        """Hand the limit of an environment's spec on to the environment itself."""
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        if env.spec is None or env.spec.max_episode_steps is None:
+            return
+        limit, own = env.spec.max_episode_steps, env.spec.kwargs.get("max_steps", env.spec.max_episode_steps)
+        if own != limit:
+            raise ValueError(f"max_steps: expected max_episode_steps={own!r} in gymnasium.make, which has {limit!r}")
+        inner = env.unwrapped
+        if isinstance(inner, LunarRescueEnv):
+            inner.set_max_steps(limit)

@@ -1,4 +1,4 @@
-"""What an episode remembers besides the simulation's state, and the distances that its rewards are made of."""
+"""How an episode begins, what it remembers besides the simulation's state, and the distances its rewards use."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from lunar_rescue.observation import Observer
 from lunar_rescue.physics.astronaut import Astronaut, AstronautState
-from lunar_rescue.physics.robot import RobotState
+from lunar_rescue.physics.robot import Robot, RobotState
+from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import Scene
-from lunar_rescue.tasks import SMALLEST_ERROR, Task
+from lunar_rescue.tasks import SMALLEST_ERROR, TASK_TYPES, Task
 
 Array = NDArray[np.float64]
 
@@ -46,27 +48,27 @@ class Episode:
     _targets: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        """Keep what stays the same."""
+        """Compute what stays the same during the episode."""
         self._ways = self.astronaut.ways_in[self.order]
         self._lengths = _lengths(self._ways)
         self._directions = self._ways / self._lengths[:, None]
         self.update(self.robot, self.body)
 
     def update(self, robot: RobotState, body: AstronautState) -> None:
-        """Take over a new state."""
+        """Take over the state of robot and body after a step."""
         self.robot, self.body = robot, body
         self._targets = self.astronaut.targets(body)[self.order]
 
     def targets(self) -> Array:
-        """P_G of arm A and arm B (2, 3) [m]."""
+        """Return P_G, the target areas of arm A and arm B, (2, 3) [m]."""
         return self._targets
 
     def entries(self) -> Array:
-        """Where the way in to each target begins, before the body, of arm A and arm B (2, 3) [m]."""
+        """Return where the way in to each target begins, before the body, for arm A and arm B, (2, 3) [m]."""
         return self._targets + self._ways
 
     def distances(self) -> Array:
-        """D of each arm end to its target area, plus a detour for an end over the body (2,) [m].
+        """Return D of each arm end to its target area, plus a detour for an end over the body, (2,) [m].
 
         The straight way from over the body leads through it: such an end must first go back before the body, or down
         beside it, so the smaller of height over ``OVER`` and depth behind the entry is added. This leaves no place but
@@ -82,3 +84,32 @@ class Episode:
 def _lengths(vectors: Array) -> Array:
     lengths: Array = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     return lengths
+
+
+def begin_episode(simulation: Simulation, robot: Robot, scene: Scene, memory: int) -> Episode:
+    """Build a scene in an empty world, put the robot at q_init and return the episode.
+
+    Args:
+        simulation: The world; of the last episode only ground and robot are left.
+        robot: The robot in it.
+        scene: What lies where.
+        memory: Steps whose least distance is D_m.
+    """
+    simulation.set_up_vector(scene.terrain.up())
+    simulation.set_friction(scene.friction, [(robot.handle, robot.links)])
+    robot.reset(scene.base_x, scene.base_y, scene.base_yaw)
+    astronaut = Astronaut(simulation, scene)
+    if scene.terrain.rough:
+        simulation.add_relief(scene.terrain)
+    rocks = [simulation.add_rock(rock) for rock in scene.rocks]
+    marks = rock_marks(scene.rocks)
+    state, body = robot.state(fresh=True), astronaut.state()
+    targets = astronaut.targets(body)
+    left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
+    order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
+    observer = Observer(scene, robot, targets[order], (targets + astronaut.ways_in)[order], marks)
+    task = TASK_TYPES[scene.task](astronaut.start)
+    recent: deque[Array] = deque(maxlen=memory)
+    episode = Episode(scene, astronaut, task, observer, rocks, marks, order, state, body, recent)
+    recent.append(episode.distances())
+    return episode

@@ -91,8 +91,8 @@ _WAIST, _GOALS, _BODY, _ACTION, _PHASE = (SLICES[key] for key in ("P_W", "P_G", 
 
 
 def observation_space() -> spaces.Dict:
-    """The Dict space, keys in the order of ``ENTRIES``."""
-    return spaces.Dict({e.key: spaces.Box(-BOUND, BOUND, (e.size,), np.float32) for e in ENTRIES})
+    """Return the Dict space; its keys keep the order of ``ENTRIES``, so that flattened it is the flat observation."""
+    return spaces.Dict([(e.key, spaces.Box(-BOUND, BOUND, (e.size,), np.float32)) for e in ENTRIES])
 
 
 def as_dict(vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:

@@ -1,0 +1,68 @@
+"""What touches what in an episode, and how near the arms are to the rocks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue.episode import Episode
+from lunar_rescue.physics.robot import Robot
+from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.tasks import BEARING_FORCE, SMALLEST_ERROR, TARGET_RADIUS, Contacts
+
+Array = NDArray[np.float64]
+
+RAY = np.array([0.0, 0.0, 1.5])  # m, straight up from a plate, to see whether the body is above it
+PLATE_TOP = np.array([0.0, 0.0, 0.03])  # m, where the rays begin
+PLATE_POINTS = (0.0, -0.10, 0.10)  # m from the arm's end along the plate; there may be a gap between the legs
+REACH_OF_LINK = 0.60  # m, no part of a link lies further than this from the nearest joint point; contact needs it
+SMALLEST_CLEARANCE = 1e-9  # m, keeps the AAPF's distances positive
+
+
+def mark_distances(episode: Episode) -> Array:
+    """Return the distances of every joint to every mark point, (12, m) [m]."""
+    between = episode.robot.points[:, None, :] - episode.marks[None, :, :]
+    return np.sqrt(np.einsum("ijk,ijk->ij", between, between)) + SMALLEST_CLEARANCE
+
+
+def touches_rock(simulation: Simulation, robot: Robot, episode: Episode, clearance: Array) -> bool:
+    """Tell whether the robot touches a rock; only rocks with a joint near them are asked about.
+
+    Args:
+        simulation: Where the bodies are.
+        robot: The robot.
+        episode: For its rocks.
+        clearance: What ``mark_distances`` returned (12, m) [m].
+    """
+    if not episode.rocks or clearance.min() > REACH_OF_LINK:
+        return False
+    near = clearance.min(axis=0).reshape(len(episode.rocks), -1).min(axis=1) < REACH_OF_LINK
+    return any(simulation.touching(robot.handle, episode.rocks[i]) for i in np.flatnonzero(near))
+
+
+def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -> bool:
+    """Tell whether process 1 is completed: both ends in their target areas, with the astronaut above them.
+
+    Args:
+        simulation: Where the bodies are.
+        episode: The episode under way.
+        distance: What ``Episode.distances`` returned (2,) [m].
+    """
+    if episode.rock_contact or distance.max() > TARGET_RADIUS + SMALLEST_ERROR:
+        return False
+
+    def under(end: Array, direction: Array) -> bool:
+        """Whether the body is straight above some point along the plate."""
+        points = (end + along * direction + PLATE_TOP for along in PLATE_POINTS)
+        return any(simulation.ray_hits(point, point + RAY, episode.astronaut.handle) for point in points)
+
+    return all(map(under, episode.robot.ends, episode.robot.directions))
+
+
+def body_contacts(simulation: Simulation, robot: Robot, episode: Episode) -> Contacts:
+    """Return who bears the astronaut now: the ground, arm A, arm B."""
+    handle = episode.astronaut.handle
+    rows = simulation.contact_forces(handle, robot.handle)
+    up = [sum(force[2] for _, link, force in rows if link in links) for links in robot.arm_links]
+    bears = (bool(up[0] > BEARING_FORCE), bool(up[1] > BEARING_FORCE))
+    return Contacts(simulation.touching_ground(handle), bears)
