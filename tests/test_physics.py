@@ -62,7 +62,7 @@ def test_ground_bears_the_weight_at_rest(simulation: Simulation, name: str, mass
     for up in (SMOOTH.up(), Terrain("rough", MAX_SLOPE, 1.0).up()):
         simulation.clear([])
         simulation.set_up_vector(up)
-        body = _suit(simulation, name, mass, all_postures()[name].rest_height)
+        body = _suit(simulation, name, mass, all_postures()[name].rest.height)
         simulation.advance(150)
         forces = []
         for _ in range(50):

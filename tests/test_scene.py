@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunar_rescue import LunarRescueEnv
+from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import BOUND
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.postures import DATA_FILE, all_postures, heldout_postures, load_postures, postures
@@ -24,7 +24,6 @@ from lunar_rescue.scenes.scene import (
     MASS_RANGE,
     TASKS,
     Scene,
-    sample_scene,
     task_distribution,
 )
 from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN, VALIDATION
@@ -339,4 +338,4 @@ def test_targets_lie_under_the_body_on_both_sides_of_its_centre() -> None:
                 assert np.all(areas.clearance > 0.05)
                 for offset in areas.offsets:
                     near = np.linalg.norm(surface[:, :2] - offset[:2], axis=1) < 0.1
-                    assert surface[near, 2].max() > offset[2] + posture.rest_height
+                    assert surface[near, 2].max() > offset[2] + posture.rest.height

@@ -7,7 +7,8 @@ from lunar_rescue.env import ENVIRONMENT_VERSION, LunarRescueEnv
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import Rock
-from lunar_rescue.scenes.scene import TASKS, Scene, sample_scene
+from lunar_rescue.scenes.sampling import sample_scene
+from lunar_rescue.scenes.scene import TASKS, Scene
 from lunar_rescue.tasks import MAX_STEPS
 
 ENV_ID = "LunarRescue-v0"

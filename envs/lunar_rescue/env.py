@@ -19,7 +19,8 @@ from lunar_rescue.physics.client import NotCopied
 from lunar_rescue.physics.robot import CONTROL_SUBSTEPS, JOINTS, Robot
 from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.scenes.scene import Scene, sample_scene
+from lunar_rescue.scenes.sampling import sample_scene
+from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.splits import TRAIN
 from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS
 

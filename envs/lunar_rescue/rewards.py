@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from lunar_rescue.scenes.records import checked
 
 ApproachForm = Literal["literal", "signed"]
+Weight = Annotated[float, Field(ge=0.0)]
 
 
 def _distances(values: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -105,47 +109,35 @@ def contact(in_contact: bool) -> float:
     return -0.5 if in_contact else 0.5
 
 
+@checked
 @dataclass(frozen=True)
 class RewardWeights:
     """Weight of each term, under the term's name; the paper gives none of them."""
 
-    beta: float = 2.0
+    beta: Weight = 2.0
     """Approach term, both processes."""
-    memory: int = 1
+    memory: Annotated[int, Field(ge=1)] = 1
     """D_m is the best distance of the last so many steps. Over a whole episode (a large number) every step away from
     the best costs again and again, and policies learnt to end episodes early (tried, see the training log)."""
-    rho: float = 0.01
+    rho: Weight = 0.01
     """AAPF term; with ``xi`` it stays under a tenth of the approach term unless a joint is near a rock."""
-    xi: float = 0.01
+    xi: Weight = 0.01
     """AAPF length scale [m]."""
-    varphi: float = 0.003
+    varphi: Weight = 0.003
     """Joint-motion term [1/rad]."""
-    time_bonus: float = 1.5
+    time_bonus: Weight = 1.5
     """Factor on the time bonus, so that finishing is worth more than any dwelling."""
-    rescued: float = 4.0
+    rescued: Weight = 4.0
     """Once, at completion, however late; not in the paper. The time bonus alone makes a late rescue worth a tenth of an
     early one, and policies that earn it prefer haste to success (see the training log)."""
-    both_arms_under: float = 2.0
+    both_arms_under: Weight = 2.0
     """Once, when process 1 is completed; not in the paper."""
-    failure: float = 1.0
+    failure: Weight = 1.0
     """Subtracted once when an episode ends in a failure other than the time limit; not in the paper."""
-    contact: float = 0.02
+    contact: Weight = 0.02
     """Factor on the contact reward where it replaces the AAPF term."""
     form: ApproachForm = "signed"
     """Form of the approach term that the project trains with."""
-
-    def __post_init__(self) -> None:
-        """Refuse weights that are not finite and not negative."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name == "form":
-                if value not in ("literal", "signed"):
-                    raise ValueError(f"RewardWeights.form: expected 'literal' or 'signed', got {value!r}")
-            elif field.name == "memory":
-                if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                    raise ValueError(f"RewardWeights.memory: expected an integer >= 1, got {value!r}")
-            elif not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"RewardWeights.{field.name}: expected a finite number >= 0, got {value!r}")
 
 
 @dataclass(frozen=True)

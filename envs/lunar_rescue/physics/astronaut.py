@@ -54,7 +54,7 @@ class Astronaut:
         fixed = _fixed(scene.model, scene.side, scene.task)
         c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
         heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest_height])
+        centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
         self._simulation = simulation
         self._body: RigidBody = simulation.add_suit(scene.model.limbs, scene.mass)
         half = 0.5 * scene.astronaut_yaw

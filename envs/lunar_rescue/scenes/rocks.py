@@ -7,11 +7,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+
+from lunar_rescue.scenes.records import checked, within
+from lunar_rescue.scenes.terrain import PLACE_RANGE
 
 Array = NDArray[np.float64]
+Place = Annotated[float, within(PLACE_RANGE)]
 
 MAX_ROCKS = 7  # most rocks of 10 cm or more that the cited laws put into a 2 m x 2 m work area
 ROCK_SIZE_RANGE = (0.10, 0.30)  # m, diameter; larger rocks would be driven around
@@ -20,6 +26,9 @@ ROCK_EXPONENT, HELDOUT_EXPONENT = -1.755, -2.661
 # Height/diameter: mean, spread, least, most (same source; spread halved).
 ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
+# What any scene may have, drawn or not: height and height of the ground [m], share under the ground.
+HEIGHT_RANGE, GROUND_RANGE, BURIED_RANGE = (0.02, 0.5), (-1.0, 1.0), (0.0, 0.95)
+FLANK = 0.475  # of the diameter, radius of the ring of flank marks
 WORK_AREA = 1.15  # m, half side of the square around the astronaut in which scattered rocks lie
 #: The stones that scenes are drawn from, by their shape's seed; the simulation keeps their shapes. Sizes are the law's
 #: quantiles, the largest all of the greatest size. Small stones find room more easily, so those that lie in scenes are
@@ -31,6 +40,7 @@ CLUSTER = 0.35  # m, spread of a held-out field's rocks about its middle, as of 
 CLUSTER_DISTANCE = (0.5, 1.0)  # m, of that middle from the astronaut
 
 
+@checked
 @dataclass(frozen=True)
 class Rock:
     """One rock, half buried.
@@ -46,43 +56,43 @@ class Rock:
         ground: Height of the ground here [m].
     """
 
-    x: float
-    y: float
-    diameter: float
-    height: float
-    buried: float
-    yaw: float
-    shape: int
-    ground: float = 0.0
+    x: Place
+    y: Place
+    diameter: Annotated[float, within(ROCK_SIZE_RANGE)]
+    height: Annotated[float, within(HEIGHT_RANGE)]
+    buried: Annotated[float, within(BURIED_RANGE)]
+    yaw: Place
+    shape: Annotated[int, Field(ge=0)]
+    ground: Annotated[float, within(GROUND_RANGE)] = 0.0
 
     @property
     def middle(self) -> tuple[float, float, float]:
-        """Centre of the whole rock [m]."""
+        """Return the centre of the whole rock, buried part included [m]."""
         return self.x, self.y, self.ground + self.height * (0.5 - self.buried)
 
     @property
     def flank(self) -> float:
-        """Radius of the ring of flank marks [m]."""
-        return 0.475 * self.diameter
+        """Return the radius of the ring of flank marks [m]."""
+        return FLANK * self.diameter
 
     def corners(self) -> Array:
-        """Corners of the convex hull about its own centre, not turned (12, 3) [m]."""
+        """Return the corners of the convex hull about its own centre, not turned (12, 3) [m]."""
         scaled: Array = _bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2]
         return scaled
 
     def vertices(self) -> Array:
-        """Corners of the convex hull in the world, (12, 3) [m]."""
+        """Return the corners of the convex hull in the world, (12, 3) [m]."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned: Array = self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         return turned + self.middle
 
     def marks(self) -> Array:
-        """Mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
+        """Return the mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
         return rock_marks((self,))
 
 
 def rock_marks(rocks: Sequence[Rock]) -> Array:
-    """Mark points of several rocks, five each as in ``Rock.marks``, (5 n, 3) [m]."""
+    """Return the mark points of several rocks, five each as in ``Rock.marks``, (5 n, 3) [m]."""
     if not rocks:
         return np.zeros((0, 3))
     rows = []
@@ -142,7 +152,7 @@ class Stone:
 
 @lru_cache(maxsize=4)
 def quarry(shapes: range, exponent: float) -> tuple[Stone, ...]:
-    """Stones with these surfaces, sizes at the quantiles of N(>=D) ~ D^exponent, aspects as in the specification."""
+    """Return stones of these surfaces, sizes at the quantiles of N(>=D) ~ D^exponent, aspects as specified."""
     smallest, largest = ROCK_SIZE_RANGE
     mean, spread, least, most = ROCK_ASPECT
     rng = np.random.default_rng(shapes.start)

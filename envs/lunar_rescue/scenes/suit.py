@@ -10,12 +10,15 @@ Body frame: x to the front (ventral), y to the left, z to the head, origin in th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from lunar_rescue.scenes.records import checked, within
 
 Array = NDArray[np.float64]
 
@@ -26,35 +29,32 @@ UPPER_ARM, FOREARM = 0.28, 0.32  # m, joint to joint; the forearm includes the g
 THIGH, SHIN = 0.42, 0.40  # m, joint to joint
 
 
+# What a pressurised suit's joints can do, roughly [deg].
+ShoulderFlexion = Annotated[float, within((-40.0, 180.0))]
+ShoulderAbduction = Annotated[float, within((0.0, 150.0))]
+ElbowFlexion = Annotated[float, within((0.0, 130.0))]
+HipFlexion = Annotated[float, within((-20.0, 110.0))]
+HipAbduction = Annotated[float, within((0.0, 45.0))]
+KneeFlexion = Annotated[float, within((0.0, 120.0))]
+
+
+@checked
 @dataclass(frozen=True)
 class Limbs:
-    """Limb angles of one posture, in degrees; zero is standing at attention."""
+    """Limb angles of one posture [deg]; zero is standing at attention."""
 
-    left_shoulder_flexion: float = 0.0
-    left_shoulder_abduction: float = 8.0
-    left_elbow_flexion: float = 10.0
-    right_shoulder_flexion: float = 0.0
-    right_shoulder_abduction: float = 8.0
-    right_elbow_flexion: float = 10.0
-    left_hip_flexion: float = 0.0
-    left_hip_abduction: float = 4.0
-    left_knee_flexion: float = 5.0
-    right_hip_flexion: float = 0.0
-    right_hip_abduction: float = 4.0
-    right_knee_flexion: float = 5.0
-
-
-LIMB_NAMES: tuple[str, ...] = tuple(f.name for f in fields(Limbs))
-
-#: Allowed range of each limb angle, degrees: what a pressurised suit's joints can do, roughly.
-LIMB_LIMITS: dict[str, tuple[float, float]] = {
-    "shoulder_flexion": (-40.0, 180.0),
-    "shoulder_abduction": (0.0, 150.0),
-    "elbow_flexion": (0.0, 130.0),
-    "hip_flexion": (-20.0, 110.0),
-    "hip_abduction": (0.0, 45.0),
-    "knee_flexion": (0.0, 120.0),
-}
+    left_shoulder_flexion: ShoulderFlexion
+    left_shoulder_abduction: ShoulderAbduction
+    left_elbow_flexion: ElbowFlexion
+    right_shoulder_flexion: ShoulderFlexion
+    right_shoulder_abduction: ShoulderAbduction
+    right_elbow_flexion: ElbowFlexion
+    left_hip_flexion: HipFlexion
+    left_hip_abduction: HipAbduction
+    left_knee_flexion: KneeFlexion
+    right_hip_flexion: HipFlexion
+    right_hip_abduction: HipAbduction
+    right_knee_flexion: KneeFlexion
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
         ]
         rows.append(max(candidates)[1:])
     place, clearance, edge = np.array(rows).T
-    z = np.minimum(clearance / 2, HIGHEST) - posture.rest_height
+    z = np.minimum(clearance / 2, HIGHEST) - posture.rest.height
     offsets = np.column_stack([place, np.full(2, side * depth), z])
     return TargetAreas(offsets, clearance, edge, edge - depth + BEFORE_EDGE)
 

@@ -15,20 +15,26 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+
+from lunar_rescue.scenes.records import checked, within
 
 Array = NDArray[np.float64]
+Patch = Literal["lying", "on_side"]
 
 KINDS = ("smooth", "rough")
 MAX_SLOPE = 10.0  # deg
+PLACE_RANGE = (-100.0, 100.0)  # m or rad, where anything in a scene may lie and turn to
 ROUGH_SHARE = 0.5  # of the scenes, in every split
 RELIEF_HALF = (1.9, 1.6)  # m, half sides of the ground on which mounds lie, along and across the body
 #: The patch without mounds, which the body pressed flat as it fell: to head and feet, and to the front's and the back's
 #: side; who lies on a side has arms and knees before them [m].
 FLAT_ALONG = 1.2
-FLAT_ACROSS: dict[str, tuple[float, float]] = {"lying": (0.43, 0.43), "on_side": (0.60, 0.32)}
+FLAT_ACROSS: dict[Patch, tuple[float, float]] = {"lying": (0.43, 0.43), "on_side": (0.60, 0.32)}
 MOUNDS = 16  # a relief; as many as PyBullet takes into one body
 MOUND_RADIUS = (0.25, 0.60)  # m; assumption: decimetre hummocks, the scale on which arms and body meet the ground
 MOUND_STEEPNESS = (0.05, 0.18)  # height over radius; flanks of up to twice that, about 20 deg
@@ -38,6 +44,9 @@ MOUND_OVAL = (0.7, 1.0)  # ratio of the radii
 NEAR = (0.9, 1.1, 0.07)
 RELIEFS = range(16)  # reliefs that scenes are drawn from; the simulation keeps their shapes
 HELDOUT_RELIEFS = range(1000, 1008)  # no training scene has these
+RELIEF_STREAM = 1622  # keeps the generator of reliefs apart from others with the same seed
+
+Place = Annotated[float, within(PLACE_RANGE)]
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,7 @@ class Mound:
     yaw: float
 
 
+@checked
 @dataclass(frozen=True)
 class Terrain:
     """The ground of one scene.
@@ -76,45 +86,33 @@ class Terrain:
         yaw: Heading of the relief, along the body: its +y is the front's side of who lies on a side [rad].
     """
 
-    kind: str = "smooth"
-    slope: float = 0.0
-    downhill: float = 0.0
-    relief: int = 0
-    patch: str = "lying"
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
+    kind: Literal["smooth", "rough"] = "smooth"
+    slope: Annotated[float, within((0.0, MAX_SLOPE))] = 0.0
+    downhill: Place = 0.0
+    relief: Annotated[int, Field(ge=0)] = 0
+    patch: Patch = "lying"
+    x: Place = 0.0
+    y: Place = 0.0
+    yaw: Place = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a terrain that is malformed or out of range, naming the field."""
-        if self.kind not in KINDS:
-            raise ValueError(f"Scene.terrain.kind: expected one of {KINDS}, got {self.kind!r}")
-        if not _number(self.slope) or not 0.0 <= self.slope <= MAX_SLOPE:
-            raise ValueError(f"Scene.terrain.slope: expected 0 to {MAX_SLOPE:g} deg, got {self.slope!r}")
+        """Refuse smooth ground with a slope."""
         if self.kind == "smooth" and self.slope != 0.0:
             raise ValueError(f"Scene.terrain.slope: smooth ground is level, got {self.slope!r}")
-        if isinstance(self.relief, bool) or not isinstance(self.relief, int) or self.relief < 0:
-            raise ValueError(f"Scene.terrain.relief: expected an integer >= 0, got {self.relief!r}")
-        if self.patch not in FLAT_ACROSS:
-            raise ValueError(f"Scene.terrain.patch: expected one of {tuple(FLAT_ACROSS)}, got {self.patch!r}")
-        for name in ("downhill", "x", "y", "yaw"):
-            value = getattr(self, name)
-            if not _number(value) or not -100.0 <= value <= 100.0:
-                raise ValueError(f"Scene.terrain.{name}: expected -100 to 100, got {value!r}")
 
     @property
     def rough(self) -> bool:
-        """Whether there is a relief."""
+        """Tell whether the ground has a relief."""
         return self.kind == "rough"
 
     def up(self) -> Array:
-        """Unit vector against gravity in the scene's frame, (3,)."""
+        """Return the unit vector against gravity in the scene's frame, (3,)."""
         s = math.radians(self.slope)
         away = -math.sin(s)
         return np.array([away * math.cos(self.downhill), away * math.sin(self.downhill), math.cos(s)])
 
     def height(self, x: Array | float, y: Array | float) -> Array:
-        """Height of the ground over its mean plane's foot, at points of the scene's frame, same shape as x [m]."""
+        """Return the ground's height above its mean plane at points of the scene's frame, same shape as x [m]."""
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         highest = np.zeros(np.broadcast(x, y).shape)
         if not self.rough:
@@ -129,20 +127,16 @@ class Terrain:
         return np.maximum(caps.max(axis=-1), 0.0)
 
 
-def _number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 SMOOTH = Terrain()
 
 
 @lru_cache(maxsize=64)
-def mounds(relief: int, patch: str) -> tuple[Mound, ...]:
-    """The mounds of a relief, a pure function of seed and patch; none reaches into the flat patch."""
-    rng = np.random.default_rng([relief, 1622])
+def mounds(relief: int, patch: Patch) -> tuple[Mound, ...]:
+    """Return the mounds of a relief, a pure function of seed and patch; none reaches into the flat patch."""
+    rng = np.random.default_rng([relief, RELIEF_STREAM])
     front, back = FLAT_ACROSS[patch]
-    chosen: list[Mound] = []
-    while len(chosen) < MOUNDS:
+    field: list[Mound] = []
+    while len(field) < MOUNDS:
         along = float(rng.uniform(*MOUND_RADIUS))
         across = along * float(rng.uniform(*MOUND_OVAL))
         height = along * float(rng.uniform(*MOUND_STEEPNESS))
@@ -153,12 +147,12 @@ def mounds(relief: int, patch: str) -> tuple[Mound, ...]:
         if abs(x) < NEAR[0] and abs(y) < NEAR[1]:
             height = min(height, NEAR[2])
         if abs(x) > FLAT_ALONG + reach_x or y > front + reach_y or y < -back - reach_y:
-            chosen.append(Mound(x, y, along, across, height, yaw))
-    return tuple(chosen)
+            field.append(Mound(x, y, along, across, height, yaw))
+    return tuple(field)
 
 
 @lru_cache(maxsize=64)
-def _arrays(relief: int, patch: str) -> tuple[Array, Array, Array, Array]:
+def _arrays(relief: int, patch: Patch) -> tuple[Array, Array, Array, Array]:
     field = mounds(relief, patch)
     centres = np.array([[m.x, m.y] for m in field])
     turns = np.array([[math.cos(m.yaw), math.sin(m.yaw)] for m in field])
@@ -180,5 +174,5 @@ def draw_terrain(rng: Random, pose: tuple[float, float, float], front: int, held
     slope, downhill = rng.uniform(0.0, MAX_SLOPE), rng.uniform(0.0, 2 * math.pi)
     relief = rng.choice(HELDOUT_RELIEFS if heldout else RELIEFS)
     turned = front < 0 or (front == 0 and rng.random() < 0.5)
-    patch = "on_side" if front else "lying"
+    patch: Patch = "on_side" if front else "lying"
     return Terrain("rough", slope, downhill, relief, patch, pose[0], pose[1], pose[2] + math.pi * turned)
