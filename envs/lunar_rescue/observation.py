@@ -26,17 +26,11 @@ BOUND = 5.0  # every entry is scaled to about [-1, 1] and clipped here
 
 @dataclass(frozen=True)
 class Entry:
-    """One key of the observation.
+    """One key of the observation."""
 
-    Attributes:
-        key: The paper's symbol.
-        size: Number of values.
-        meaning: What they are, in order, with units.
-    """
-
-    key: str
-    size: int
-    meaning: str
+    key: str  # the paper's symbol
+    size: int  # number of values
+    meaning: str  # what they are, in order, with units
 
 
 #: Distances before a target at which the ground's height is seen [m].

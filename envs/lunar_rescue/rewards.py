@@ -142,33 +142,20 @@ class RewardWeights:
 
 @dataclass(frozen=True)
 class Transition:
-    """What the reward of one step is computed from.
+    """What the reward of one step is computed from."""
 
-    Attributes:
-        best: D_m, least distance before this step, of each arm in process 1 and of the pose in process 2 (2,) [m].
-        distance: D, the distance now (2,) [m].
-        clearance: Distances of every joint to every mark point of the rocks (12, m) [m].
-        moved: Change of each joint angle (11,) [rad].
-        touches_rock: Whether an arm touches a rock.
-        contact_reward: Whether the contact reward of section 4.3 takes the AAPF term's place.
-        steps: Steps since the reset, this one included.
-        max_steps: Step limit of the episode.
-        both_arms_under: Whether this step completes process 1.
-        success: Whether it completes the rescue.
-        failed: Whether it ends the episode in a failure other than the time limit.
-    """
-
+    # D_m, least distance before this step, of each arm in process 1 and of the pose in process 2 (2,) [m]
     best: NDArray[np.float64]
-    distance: NDArray[np.float64]
-    clearance: NDArray[np.float64]
-    moved: NDArray[np.float64]
-    touches_rock: bool
-    contact_reward: bool
-    steps: int
-    max_steps: int
-    both_arms_under: bool
-    success: bool
-    failed: bool
+    distance: NDArray[np.float64]  # D, the distance now (2,) [m]
+    clearance: NDArray[np.float64]  # distances of every joint to every mark point of the rocks (12, m) [m]
+    moved: NDArray[np.float64]  # change of each joint angle (11,) [rad]
+    touches_rock: bool  # whether an arm touches a rock
+    contact_reward: bool  # whether the contact reward of section 4.3 takes the AAPF term's place
+    steps: int  # steps since the reset, this one included
+    max_steps: int  # step limit of the episode
+    both_arms_under: bool  # whether this step completes process 1
+    success: bool  # whether it completes the rescue
+    failed: bool  # whether it ends the episode in a failure other than the time limit
 
 
 def aapf(step: Transition, weights: RewardWeights) -> float:
@@ -182,23 +169,14 @@ def _obstacle_term(step: Transition, weights: RewardWeights) -> float:
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """One term of the reward.
+    """One term of the reward."""
 
-    Attributes:
-        name: Its key in ``info["reward_terms"]``.
-        formula: What it is, in LaTeX.
-        weight: The fields of ``RewardWeights`` that it reads.
-        once: Whether it comes at most once an episode, as a milestone does.
-        meaning: A few words on when it comes and what it is for.
-        value: Computes it for one step.
-    """
-
-    name: str
-    formula: str
-    weight: tuple[str, ...]
-    once: bool
-    meaning: str
-    value: Callable[[Transition, RewardWeights], float]
+    name: str  # its key in ``info["reward_terms"]``
+    formula: str  # what it is, in LaTeX
+    weight: tuple[str, ...]  # the fields of ``RewardWeights`` that it reads
+    once: bool  # whether it comes at most once an episode, as a milestone does
+    meaning: str  # A few words on when it comes and what it is for
+    value: Callable[[Transition, RewardWeights], float]  # computes it for one step
 
 
 #: Eq. 2, term by term, and the milestones that the paper does not have.

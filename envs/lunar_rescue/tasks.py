@@ -30,15 +30,10 @@ SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the r
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contacts that decide about success, asked for only when the pose is right.
+    """Contacts that decide about success, asked for only when the pose is right."""
 
-    Attributes:
-        ground: Astronaut touches the ground.
-        arms: Arm A and arm B bear some of the astronaut's weight (2,).
-    """
-
-    ground: bool
-    arms: tuple[bool, bool]
+    ground: bool  # astronaut touches the ground
+    arms: tuple[bool, bool]  # arm A and arm B bear some of the astronaut's weight (2,)
 
 
 class Task(ABC):

@@ -22,19 +22,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AstronautState:
-    """Where the astronaut is, as posture recognition and tracking would tell.
+    """Where the astronaut is, as posture recognition and tracking would tell."""
 
-    Attributes:
-        centre: Centre of gravity P_P (3,) [m].
-        rotation: Body frame in the world, columns front, left, head (3, 3).
-        velocity: Of the centre of gravity (3,) [m/s].
-        spin: Angular velocity (3,) [rad/s].
-    """
-
-    centre: Array
-    rotation: Array
-    velocity: Array
-    spin: Array
+    centre: Array  # centre of gravity P_P (3,) [m]
+    rotation: Array  # body frame in the world, columns front, left, head (3, 3)
+    velocity: Array  # of the centre of gravity (3,) [m/s]
+    spin: Array  # angular velocity (3,) [rad/s]
 
     @property
     def front_up(self) -> float:

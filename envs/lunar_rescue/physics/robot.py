@@ -27,19 +27,12 @@ CONTROL_STEP = CONTROL_SUBSTEPS * SUBSTEP  # s, one action is held this long
 
 @dataclass(frozen=True)
 class Arm:
-    """Indices of one arm; the same class serves both.
+    """Indices of one arm; the same class serves both."""
 
-    Attributes:
-        name: ``"A"`` (left) or ``"B"`` (right).
-        side: +1 for left, -1 for right.
-        joints: Slice of this arm in joint vectors.
-        links: Slice of this arm in link arrays; its last row is the arm's end.
-    """
-
-    name: str
-    side: int
-    joints: slice
-    links: slice
+    name: str  # ``"A"`` (left) or ``"B"`` (right)
+    side: int  # +1 for left, -1 for right
+    joints: slice  # slice of this arm in joint vectors
+    links: slice  # slice of this arm in link arrays; its last row is the arm's end
 
 
 ARM_A = Arm("A", 1, slice(0, 5), slice(0, 6))
@@ -56,19 +49,12 @@ JOINT_NAMES = (*(f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS),
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What the robot file allows each joint, arm A, arm B, waist.
+    """What the robot file allows each joint, arm A, arm B, waist."""
 
-    Attributes:
-        lower: Least angles (11,) [rad].
-        upper: Greatest angles (11,) [rad].
-        torque: Most that each motor exerts (11,) [N m].
-        speed: Most that each joint turns (11,) [rad/s].
-    """
-
-    lower: Array
-    upper: Array
-    torque: Array
-    speed: Array
+    lower: Array  # least angles (11,) [rad]
+    upper: Array  # greatest angles (11,) [rad]
+    torque: Array  # most that each motor exerts (11,) [N m]
+    speed: Array  # most that each joint turns (11,) [rad/s]
 
 
 @lru_cache(maxsize=1)
@@ -88,21 +74,13 @@ def joint_limits() -> JointLimits:
 
 @dataclass(frozen=True)
 class RobotState:
-    """What the robot's own sensors tell.
+    """What the robot's own sensors tell."""
 
-    Attributes:
-        angles: Arm A, arm B, waist (11,) [rad].
-        speeds: (11,) [rad/s].
-        torques: Motor torques (11,) [N m].
-        points: Five joints and the end of each arm in the world (12, 3) [m].
-        directions: Unit vectors along the two plates in the world (2, 3).
-    """
-
-    angles: Array
-    speeds: Array
-    torques: Array
-    points: Array
-    directions: Array
+    angles: Array  # arm A, arm B, waist (11,) [rad]
+    speeds: Array  # (11,) [rad/s]
+    torques: Array  # motor torques (11,) [N m]
+    points: Array  # five joints and the end of each arm in the world (12, 3) [m]
+    directions: Array  # unit vectors along the two plates in the world (2, 3)
 
     @property
     def ends(self) -> Array:

@@ -29,29 +29,18 @@ SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from.
+    """Where a picture is taken from."""
 
-    Attributes:
-        target: Point looked at, in the scene (3,) [m].
-        distance: From there [m].
-        yaw: Heading of the view; 0 looks along y [deg].
-        pitch: Negative looks down [deg].
-        size: Width and height [px].
-        upright: Turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera.
-        field_of_view: Upright [deg].
-        near: Nearest that is seen [m].
-        far: Furthest that is seen [m].
-    """
-
-    target: tuple[float, float, float]
-    distance: float = DISTANCE
-    yaw: float = 0.0
-    pitch: float = PITCH
-    size: tuple[int, int] = SIZE
+    target: tuple[float, float, float]  # point looked at, in the scene (3,) [m]
+    distance: float = DISTANCE  # from there [m]
+    yaw: float = 0.0  # heading of the view; 0 looks along y [deg]
+    pitch: float = PITCH  # negative looks down [deg]
+    size: tuple[int, int] = SIZE  # width and height [px]
+    # turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera
     upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    field_of_view: float = FIELD_OF_VIEW
-    near: float = NEAR
-    far: float = FAR
+    field_of_view: float = FIELD_OF_VIEW  # upright [deg]
+    near: float = NEAR  # nearest that is seen [m]
+    far: float = FAR  # furthest that is seen [m]
 
     @cached_property
     def view(self) -> Array:

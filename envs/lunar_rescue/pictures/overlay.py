@@ -33,17 +33,11 @@ PROCESSES = {1: "getting both arms under", 2: "raising"}
 
 @dataclass(frozen=True)
 class Link:
-    """A joint and the mark point that is nearest to it.
+    """A joint and the mark point that is nearest to it."""
 
-    Attributes:
-        joint: Place of the joint (3,) [m].
-        mark: Place of the mark point (3,) [m].
-        distance: Between them [m].
-    """
-
-    joint: Array
-    mark: Array
-    distance: float
+    joint: Array  # place of the joint (3,) [m]
+    mark: Array  # place of the mark point (3,) [m]
+    distance: float  # between them [m]
 
 
 def nearest_links(points: Array, marks: Array, marks_of_rock: int = 5) -> list[Link]:

@@ -1,11 +1,9 @@
-"""Shapes that are only seen: the suit with visor and gloves, rocks, ground, and what the robot's file leaves out."""
+"""Shapes that are only seen: the suit with visor and gloves, rocks and ground."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,7 @@ Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 CLOTH, HARD, TRIM = (0.90, 0.89, 0.86), (0.70, 0.73, 0.78), (0.75, 0.16, 0.12)
-VISOR, DARK, LENS = (0.80, 0.55, 0.12), (0.22, 0.22, 0.24), (0.15, 0.45, 0.55)
+VISOR, DARK = (0.80, 0.55, 0.12), (0.22, 0.22, 0.24)
 BASALT = (0.30, 0.28, 0.26)
 #: Colour of each suit part by the last word of its name.
 SUIT_COLOURS: dict[str, Colour] = {"backpack": HARD, "unit": HARD, "boot": DARK}
@@ -27,17 +25,11 @@ ROUNDNESS = 0.25  # exponent of the rounded boxes: 0 is a box, 1 an ellipsoid
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with smooth normals.
+    """Triangles with smooth normals."""
 
-    Attributes:
-        vertices: Corners (V, 3) [m].
-        normals: Unit vectors outwards (V, 3).
-        faces: Indices of corners (F, 3).
-    """
-
-    vertices: Array
-    normals: Array
-    faces: NDArray[np.int64]
+    vertices: Array  # corners (V, 3) [m]
+    normals: Array  # unit vectors outwards (V, 3)
+    faces: NDArray[np.int64]  # indices of corners (F, 3)
 
 
 def _lattice(rows: int, columns: int) -> NDArray[np.int64]:
@@ -153,38 +145,3 @@ def _placed(part: Part, mesh: Mesh) -> Mesh:
 
 def _moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
     return Mesh(mesh.vertices + by, mesh.normals, mesh.faces)
-
-
-# -- robot -----------------------------------------------------------------------------------------------------------
-_WHEEL = '<cylinder radius="0.11" length="0.07"/>'
-_JOINT = '<sphere radius="{}"/>'
-#: Link that it sits on, colour, place [m], turn [rad], geometry.
-_ROBOT_DETAILS: list[tuple[str, Colour, str, str, str]] = [
-    *(("base", DARK, f"{x} {y} 0.11", "1.5708 0 0", _WHEEL) for x in (-0.30, 0.06) for y in (-0.22, 0.22)),
-    *(("base", HARD, f"{x} {y} 0.07", "0 0 0", '<box size="0.05 0.30 0.04"/>') for x in (-0.12,) for y in (-0.3, 0.3)),
-    *(("base", DARK, f"-0.12 {y} 0.02", "0 0 0", '<cylinder radius="0.08" length="0.04"/>') for y in (-0.45, 0.45)),
-    ("torso", DARK, "-0.04 0 0.42", "1.5708 0 0", '<cylinder radius="0.055" length="0.66"/>'),
-    ("torso", HARD, "-0.06 0 0.50", "0 0 0", '<cylinder radius="0.025" length="0.16"/>'),
-    ("torso", DARK, "-0.04 0 0.60", "0 0 0", '<box size="0.09 0.17 0.08"/>'),
-    ("torso", LENS, "0.01 0.045 0.60", "0 0 0", '<sphere radius="0.024"/>'),
-    ("torso", LENS, "0.01 -0.045 0.60", "0 0 0", '<sphere radius="0.024"/>'),
-    *((f"{a}_shoulder", DARK, "0 0 0", "0 0 0", _JOINT.format(0.075)) for a in "AB"),
-    *((f"{a}_elbow", DARK, "0 0 0", "0 0 0", _JOINT.format(0.062)) for a in "AB"),
-    *((f"{a}_plate", DARK, "0 0 0", "0 0 0", '<cylinder radius="0.045" length="0.06"/>') for a in "AB"),
-]
-
-
-def robot_with_details(source: Path, target: Path) -> None:
-    """Write the robot's file with wheels, joints and a camera head added as links that are only seen."""
-    tree = ElementTree.parse(source)
-    robot = tree.getroot()
-    for index, (parent, colour, place, turn, geometry) in enumerate(_ROBOT_DETAILS):
-        rgb = " ".join(map(str, colour))
-        text = (
-            f'<all><link name="detail_{index}"><visual><geometry>{geometry}</geometry>'
-            f'<material name="detail_{index}"><color rgba="{rgb} 1"/></material></visual></link>'
-            f'<joint name="detail_{index}" type="fixed"><parent link="{parent}"/><child link="detail_{index}"/>'
-            f'<origin xyz="{place}" rpy="{turn}"/></joint></all>'
-        )
-        robot.extend(ElementTree.fromstring(text))
-    tree.write(target)

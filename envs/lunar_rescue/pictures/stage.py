@@ -24,23 +24,15 @@ _SHAPES = {
 
 @dataclass(frozen=True)
 class VisualShape:
-    """One shape of a link.
+    """One shape of a link."""
 
-    Attributes:
-        link: Its index, -1 for the base.
-        kind: sphere, box, cylinder, capsule or mesh.
-        size: Extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m].
-        position: In the link's frame [m].
-        quaternion: In the link's frame, x y z w.
-        colour: Red, green, blue from 0 to 1.
-    """
-
-    link: int
-    kind: str
+    link: int  # its index, -1 for the base
+    kind: str  # sphere, box, cylinder, capsule or mesh
+    # extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m]
     size: tuple[float, float, float]
-    position: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float]
-    colour: tuple[float, float, float]
+    position: tuple[float, float, float]  # in the link's frame [m]
+    quaternion: tuple[float, float, float, float]  # in the link's frame, x y z w
+    colour: tuple[float, float, float]  # red, green, blue from 0 to 1
 
 
 class Stage(Client):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.client import ROBOT_FILE
+from lunar_rescue.physics.client import DATA, ROBOT_FILE
 from lunar_rescue.physics.robot import JOINT_NAMES
 from lunar_rescue.pictures import shapes
 from lunar_rescue.pictures.stage import Stage
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+DETAILS_FILE = DATA / "robot_details.urdf"  # links of the robot that are only seen
 GAMMA = 2.2  # from brightness to what screens expect
 
 
@@ -41,7 +43,9 @@ class StageSet:
         self._scene: Scene | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
         self._robot_file = Path(self._folder.name) / "robot.urdf"
-        shapes.robot_with_details(ROBOT_FILE, self._robot_file)
+        robot = ElementTree.parse(ROBOT_FILE)
+        robot.getroot().extend(ElementTree.parse(DETAILS_FILE).getroot())
+        robot.write(self._robot_file)
 
     def close(self) -> None:
         """Free stage and files."""

@@ -44,15 +44,10 @@ ATTITUDE_TASKS: dict[str, tuple[str, ...]] = {
 @checked
 @dataclass(frozen=True)
 class Rest:
-    """How a posture lies on level ground.
+    """How a posture lies on level ground."""
 
-    Attributes:
-        height: Height of the centre of gravity [m].
-        quaternion: Body frame, x, y, z, w, head along world +x.
-    """
-
-    height: Annotated[float, within((0.05, 1.5))]
-    quaternion: tuple[Component, Component, Component, Component]
+    height: Annotated[float, within((0.05, 1.5))]  # height of the centre of gravity [m]
+    quaternion: tuple[Component, Component, Component, Component]  # body frame, x, y, z, w, head along world +x
 
     def __post_init__(self) -> None:
         """Refuse a quaternion that is not of unit length."""
@@ -64,21 +59,13 @@ class Rest:
 @checked
 @dataclass(frozen=True, eq=False)
 class Posture:
-    """One posture of the astronaut.
+    """One posture of the astronaut."""
 
-    Attributes:
-        name: Unique name, attitude and limb configuration.
-        attitude: Key of ``ATTITUDE_FRONT``.
-        configuration: Name of the limb configuration.
-        limbs: Limb angles [deg].
-        rest: How it lies on level ground.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
-    attitude: Literal["supine", "prone", "left_side", "right_side"]
-    configuration: str
-    limbs: Limbs
-    rest: Rest
+    name: Annotated[str, Field(min_length=1)]  # unique name, attitude and limb configuration
+    attitude: Literal["supine", "prone", "left_side", "right_side"]  # key of ``ATTITUDE_FRONT``
+    configuration: str  # name of the limb configuration
+    limbs: Limbs  # limb angles [deg]
+    rest: Rest  # how it lies on level ground
 
     @property
     def tasks(self) -> tuple[str, ...]:

@@ -43,27 +43,16 @@ CLUSTER_DISTANCE = (0.5, 1.0)  # m, of that middle from the astronaut
 @checked
 @dataclass(frozen=True)
 class Rock:
-    """One rock, half buried.
+    """One rock, half buried."""
 
-    Attributes:
-        x: Position in the world [m].
-        y: Position in the world [m].
-        diameter: Mean horizontal diameter [m].
-        height: Whole height, buried part included [m].
-        buried: Share of the height under the ground.
-        yaw: Heading [rad].
-        shape: Seed of the surface's bumps.
-        ground: Height of the ground here [m].
-    """
-
-    x: Place
-    y: Place
-    diameter: Annotated[float, within(ROCK_SIZE_RANGE)]
-    height: Annotated[float, within(HEIGHT_RANGE)]
-    buried: Annotated[float, within(BURIED_RANGE)]
-    yaw: Place
-    shape: Annotated[int, Field(ge=0)]
-    ground: Annotated[float, within(GROUND_RANGE)] = 0.0
+    x: Place  # position in the world [m]
+    y: Place  # position in the world [m]
+    diameter: Annotated[float, within(ROCK_SIZE_RANGE)]  # mean horizontal diameter [m]
+    height: Annotated[float, within(HEIGHT_RANGE)]  # whole height, buried part included [m]
+    buried: Annotated[float, within(BURIED_RANGE)]  # share of the height under the ground
+    yaw: Place  # heading [rad]
+    shape: Annotated[int, Field(ge=0)]  # seed of the surface's bumps
+    ground: Annotated[float, within(GROUND_RANGE)] = 0.0  # height of the ground here [m]
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -137,17 +126,11 @@ def _bumpy(shape: int) -> Array:
 
 @dataclass(frozen=True)
 class Stone:
-    """One stone of the quarry.
+    """One stone of the quarry."""
 
-    Attributes:
-        shape: Seed of its surface.
-        diameter: Mean horizontal diameter [m].
-        height: Whole height [m].
-    """
-
-    shape: int
-    diameter: float
-    height: float
+    shape: int  # seed of its surface
+    diameter: float  # mean horizontal diameter [m]
+    height: float  # whole height [m]
 
 
 @lru_cache(maxsize=4)
@@ -165,17 +148,11 @@ def quarry(shapes: range, exponent: float) -> tuple[Stone, ...]:
 
 @dataclass(frozen=True)
 class RockField:
-    """How the rocks of one scene are drawn.
+    """How the rocks of one scene are drawn."""
 
-    Attributes:
-        count: How many lie there, if they find room.
-        stones: The quarry.
-        middle: Of the cluster from the astronaut (2,) [m], or None where rocks lie anywhere.
-    """
-
-    count: int
-    stones: tuple[Stone, ...]
-    middle: tuple[float, float] | None
+    count: int  # how many lie there, if they find room
+    stones: tuple[Stone, ...]  # the quarry
+    middle: tuple[float, float] | None  # of the cluster from the astronaut (2,) [m], or None where rocks lie anywhere
 
 
 def draw_field(rng: Random, heldout: bool) -> RockField:

@@ -37,37 +37,21 @@ Place = Annotated[float, within(PLACE_RANGE)]
 @checked
 @dataclass(frozen=True)
 class Scene:
-    """One rescue task. The frame stands on the ground: z is its normal, and at z = 0 the body lies on it.
+    """One rescue task. The frame stands on the ground: z is its normal, and at z = 0 the body lies on it."""
 
-    Attributes:
-        seed: Seed that it was drawn from, or -1.
-        task: ``"lift"`` or ``"turn_over"``; the task code I.
-        posture: Name of one of the 20 postures, or of a held-out one.
-        astronaut_x: Centre of gravity at rest [m].
-        astronaut_y: Centre of gravity at rest [m].
-        astronaut_yaw: Heading of the head [rad].
-        mass: Whole suited mass [kg].
-        friction: Coulomb coefficient of ground, suit, rocks and plates.
-        base_x: Robot base P_R [m].
-        base_y: Robot base P_R [m].
-        base_yaw: Robot base heading [rad].
-        rocks: The rocks.
-        terrain: The ground.
-    """
-
-    seed: Annotated[int, Field(ge=-1)]
-    task: str
-    posture: str
-    astronaut_x: Place
-    astronaut_y: Place
-    astronaut_yaw: Place
-    mass: Annotated[float, within(MASS_RANGE)]
-    friction: Annotated[float, within(FRICTION_RANGE)]
-    base_x: Place
-    base_y: Place
-    base_yaw: Place
-    rocks: Annotated[tuple[Rock, ...], Field(max_length=MAX_ROCKS)] = ()
-    terrain: Terrain = SMOOTH
+    seed: Annotated[int, Field(ge=-1)]  # seed that it was drawn from, or -1
+    task: str  # ``"lift"`` or ``"turn_over"``; the task code I
+    posture: str  # name of one of the 20 postures, or of a held-out one
+    astronaut_x: Place  # centre of gravity at rest [m]
+    astronaut_y: Place  # centre of gravity at rest [m]
+    astronaut_yaw: Place  # heading of the head [rad]
+    mass: Annotated[float, within(MASS_RANGE)]  # whole suited mass [kg]
+    friction: Annotated[float, within(FRICTION_RANGE)]  # Coulomb coefficient of ground, suit, rocks and plates
+    base_x: Place  # robot base P_R [m]
+    base_y: Place  # robot base P_R [m]
+    base_yaw: Place  # robot base heading [rad]
+    rocks: Annotated[tuple[Rock, ...], Field(max_length=MAX_ROCKS)] = ()  # the rocks
+    terrain: Terrain = SMOOTH  # the ground
 
     def __post_init__(self) -> None:
         """Refuse what is known to nobody, or cannot lie where it is said to lie, naming the field."""

@@ -59,38 +59,24 @@ class Limbs:
 
 @dataclass(frozen=True)
 class Part:
-    """One rigid part of the suit.
+    """One rigid part of the suit."""
 
-    Attributes:
-        name: Part name, unique within the suit.
-        kind: ``"box"``, ``"capsule"`` or ``"sphere"``.
-        size: Box half extents (3,) [m]; capsule (radius, length) [m]; sphere (radius,) [m].
-        position: Centre in the body frame (3,) [m].
-        quaternion: Orientation x, y, z, w in the body frame; a capsule's axis is its local z.
-        mass_fraction: Share of the whole suited mass.
-    """
-
-    name: str
-    kind: str
-    size: tuple[float, ...]
-    position: tuple[float, float, float]
+    name: str  # part name, unique within the suit
+    kind: str  # ``"box"``, ``"capsule"`` or ``"sphere"``
+    size: tuple[float, ...]  # box half extents (3,) [m]; capsule (radius, length) [m]; sphere (radius,) [m]
+    position: tuple[float, float, float]  # centre in the body frame (3,) [m]
+    # orientation x, y, z, w in the body frame; a capsule's axis is its local z
     quaternion: tuple[float, float, float, float]
-    mass_fraction: float
+    mass_fraction: float  # share of the whole suited mass
 
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Mass properties per kilogram of the whole body, in the body frame.
+    """Mass properties per kilogram of the whole body, in the body frame."""
 
-    Attributes:
-        centre: Centre of gravity (3,) [m].
-        inertia: Principal moments per unit mass (3,) [m^2].
-        axes: Quaternion x, y, z, w of the principal axes in the body frame.
-    """
-
-    centre: Array
-    inertia: Array
-    axes: Array
+    centre: Array  # centre of gravity (3,) [m]
+    inertia: Array  # principal moments per unit mass (3,) [m^2]
+    axes: Array  # quaternion x, y, z, w of the principal axes in the body frame
 
 
 def _capsule(name: str, start: Array, end: Array, radius: float, fraction: float) -> Part:

@@ -30,19 +30,12 @@ DEPTH: dict[str, float] = {"lift": 0.0, "turn_over": 0.15}
 
 @dataclass(frozen=True)
 class TargetAreas:
-    """Two target areas of one posture, side and task.
+    """Two target areas of one posture, side and task."""
 
-    Attributes:
-        offsets: Head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m].
-        clearance: Free height under the body on the way in (2,) [m].
-        near_edge: How far the body reaches towards the robot beside each target (2,) [m].
-        way_in: Length of the way from in front of the body to each target (2,) [m].
-    """
-
-    offsets: Array
-    clearance: Array
-    near_edge: Array
-    way_in: Array
+    offsets: Array  # head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m]
+    clearance: Array  # free height under the body on the way in (2,) [m]
+    near_edge: Array  # how far the body reaches towards the robot beside each target (2,) [m]
+    way_in: Array  # length of the way from in front of the body to each target (2,) [m]
 
 
 @lru_cache(maxsize=64)

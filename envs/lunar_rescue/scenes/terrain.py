@@ -51,49 +51,29 @@ Place = Annotated[float, within(PLACE_RANGE)]
 
 @dataclass(frozen=True)
 class Mound:
-    """One convex cap; its surface is ``height * (1 - rho^2)`` with rho the distance in units of the radii.
+    """One convex cap; its surface is ``height * (1 - rho^2)`` with rho the distance in units of the radii."""
 
-    Attributes:
-        x: Centre in the relief's frame [m].
-        y: Centre in the relief's frame [m].
-        along: Radius along its own x axis [m].
-        across: Radius along its own y axis [m].
-        height: Of the top [m].
-        yaw: Heading of its x axis [rad].
-    """
-
-    x: float
-    y: float
-    along: float
-    across: float
-    height: float
-    yaw: float
+    x: float  # centre in the relief's frame [m]
+    y: float  # centre in the relief's frame [m]
+    along: float  # radius along its own x axis [m]
+    across: float  # radius along its own y axis [m]
+    height: float  # of the top [m]
+    yaw: float  # heading of its x axis [rad]
 
 
 @checked
 @dataclass(frozen=True)
 class Terrain:
-    """The ground of one scene.
+    """The ground of one scene."""
 
-    Attributes:
-        kind: ``"smooth"`` (level, no relief) or ``"rough"``.
-        slope: Between the ground's normal and the vertical [deg].
-        downhill: Heading of the steepest descent in the scene's frame [rad].
-        relief: Seed of the mounds, see ``mounds``.
-        patch: Key of ``FLAT_ACROSS``, the patch's shape.
-        x: Origin of the relief, where the body lies [m].
-        y: Origin of the relief [m].
-        yaw: Heading of the relief, along the body: its +y is the front's side of who lies on a side [rad].
-    """
-
-    kind: Literal["smooth", "rough"] = "smooth"
-    slope: Annotated[float, within((0.0, MAX_SLOPE))] = 0.0
-    downhill: Place = 0.0
-    relief: Annotated[int, Field(ge=0)] = 0
-    patch: Patch = "lying"
-    x: Place = 0.0
-    y: Place = 0.0
-    yaw: Place = 0.0
+    kind: Literal["smooth", "rough"] = "smooth"  # ``"smooth"`` (level, no relief) or ``"rough"``
+    slope: Annotated[float, within((0.0, MAX_SLOPE))] = 0.0  # between the ground's normal and the vertical [deg]
+    downhill: Place = 0.0  # heading of the steepest descent in the scene's frame [rad]
+    relief: Annotated[int, Field(ge=0)] = 0  # seed of the mounds, see ``mounds``
+    patch: Patch = "lying"  # key of ``FLAT_ACROSS``, the patch's shape
+    x: Place = 0.0  # origin of the relief, where the body lies [m]
+    y: Place = 0.0  # origin of the relief [m]
+    yaw: Place = 0.0  # heading of the relief, along the body: its +y is the front's side of who lies on a side [rad]
 
     def __post_init__(self) -> None:
         """Refuse smooth ground with a slope."""
