@@ -165,6 +165,7 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
             cwd=root,
             progress_bar=True,
             autosave_cell_every=0,
+            extra_arguments=["--log-level=CRITICAL"],  # a kernel that is interrupted has nothing to say
         )
     except PapermillExecutionError as error:
         where = f"{notebook.name}, cell {error.exec_count}: {error.ename}: {error.evalue}"
