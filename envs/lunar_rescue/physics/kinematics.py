@@ -19,6 +19,7 @@ Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 WAIST_HEIGHT, TORSO, SHOULDER_Y = 0.30, 0.42, 0.36
 UPPER_ARM, FOREARM, PLATE = 0.50, 0.45, 0.45
 END_FROM_TIP = 0.12  # m, the arm's end point lies this far behind the plate's tip, where it carries
+SHOULDER, ELBOW, WRIST, END, TIP = range(5)  # rows of ``ArmChain.points``
 
 # Levenberg-Marquardt steps of ``solve_arms``.
 ITERATIONS = 30
@@ -73,7 +74,7 @@ class ArmChain:
     @property
     def pose(self) -> Array:
         """What tasks ask of an arm: its end [m], the z of ``direction`` and the y of ``normal``, (n, 5)."""
-        return np.column_stack([self.points[:, 3], self.direction[:, 2], self.normal[:, 1]])
+        return np.column_stack([self.points[:, END], self.direction[:, 2], self.normal[:, 1]])
 
     def jacobian(self) -> Array:
         """Return the changes of ``pose`` with the five joints and the waist, (n, 5, 6) [m/rad, 1/rad]."""

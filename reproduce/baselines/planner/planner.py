@@ -14,7 +14,9 @@ from lunar_rescue import LunarRescueEnv, Scene
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.planner.variants import Variant, kind, load_variants, vary
+from reproduce.baselines.planner.variants import kind, vary
+from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
+from reproduce.baselines.way_points import Variant, load_way_points
 from reproduce.storage.errors import UserError
 
 APPROACHES = 8  # ways tried out, at most
@@ -150,7 +152,7 @@ class _Search:
 def _variants(scene: Scene) -> Iterator[Variant]:
     """Variants of the file, then others near them, drawn for the scene."""
     name = kind(scene)
-    listed = load_variants().get(name, ())
+    listed = load_way_points(VARIANTS_FILE).get(name, ())
     if not listed:
         raise UserError(f"planner: no variants for {name}")
     yield from listed

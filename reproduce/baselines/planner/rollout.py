@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
-from lunar_rescue.physics.robot import ARMS, JOINTS, WAIST
-from reproduce.baselines.planner.batch_ik import solve_arms
 from reproduce.baselines.planner.rrt import resample
-from reproduce.baselines.planner.variants import Variant
+from reproduce.baselines.way_points import ARRIVED, Variant
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
@@ -20,7 +18,6 @@ SPACING = 0.02  # rad, between two points of the path that is followed
 AHEAD = 8  # points; 0.16 rad ahead is as far as the set-point may run before the joints
 WINDOW = 12  # points among which the nearest one is looked for
 SETTLE = 10  # steps at the end of the path, before giving up
-ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Rollout:
     def _pass_through(self, variant: Variant, targets: Array) -> None:
         joints = self._angles().copy()
         for index, point in enumerate(variant):
-            joints = self._solve(targets + [point.ahead, point.aside, point.up], point.slope, point.waist, joints)
+            joints = point.joints(targets, joints)
             action = self._env.robot.action_for(joints)
             wanted = self._env.robot.joint_targets(action)
             left = point.patience
@@ -115,20 +112,6 @@ class Rollout:
                         break
                 self._step(action)
                 left -= 1
-
-    def _solve(self, places: Array, slope: float, waist: float, before: Array) -> Array:
-        robot = self._env.robot
-        lower = np.maximum(robot.lower, robot.initial - robot.window)
-        upper = np.minimum(robot.upper, robot.initial + robot.window)
-        joints = np.empty(JOINTS)
-        joints[WAIST] = np.clip(np.radians(waist), lower[WAIST], upper[WAIST])
-        for arm, place in zip(ARMS, places, strict=True):
-            j = arm.joints
-            solved, _ = solve_arms(
-                place[None], np.radians([slope]), joints[[WAIST]], arm.side, before[None, j], lower[j], upper[j]
-            )
-            joints[j] = solved[0]
-        return joints
 
     def _trial(self) -> Trial:
         return Trial(np.array(self._actions), self._under, self._rescued, self._failure)
