@@ -121,11 +121,11 @@ class Way:
 
     Attributes:
         path: Angles from the start to the goal (m, 11) [rad].
-        found: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
+        kind: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
     """
 
     path: Array
-    found: str
+    kind: str
 
 
 class ApproachPlanner:
@@ -223,7 +223,7 @@ class ApproachPlanner:
                 return Way(np.concatenate([self._start[None], slide]), "straight")
         if not draws:
             return None
-        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=draws)
+        way = connect(self._start, rest[0], free, (self._lower, self._upper), self._rng, draws=draws)
         if way is None:
             return None
         return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")
