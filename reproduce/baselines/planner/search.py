@@ -1,6 +1,4 @@
-"""Find variants of lifts and turns by random search on training scenes.
-
-``python -m reproduce.baselines.planner.search`` makes them.
+"""Find variants of lifts and turns by random search: ``python -m reproduce.baselines.planner.search``.
 
 Run it again when the physics changes. Candidates are drawn around the script's way-points; a candidate that fails on
 more than a few of the first scenes is dropped. Those that remain are put in the order in which each adds most scenes.
@@ -9,6 +7,7 @@ more than a few of the first scenes is dropped. Those that remain are put in the
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,9 @@ from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.planner.variants import DATA_FILE, Variant, as_data, kind, scripted_variant, vary
-from reproduce.baselines.scripted import THEN
-from reproduce.storage.files import write_json
+from reproduce.baselines.planner.variants import kind, vary
+from reproduce.baselines.way_points import SCRIPT, VARIANTS, Variant, WayPoint, load_way_points
+from reproduce.storage.files import check_writable, write_json
 from reproduce.storage.provenance import provenance
 
 Array = NDArray[np.float64]
@@ -30,10 +29,11 @@ FIRST_SCENES, SCENES = 10, 60  # of a kind
 CANDIDATES = 40  # of a kind
 KEEP = 0.65  # a candidate must succeed on this share of the first scenes
 LISTED = 16  # variants in the file, at most
+KINDS = ("lift prone", "lift supine", "turn_over prone", "turn_over side")
 
 
 class _Bench:
-    """Scenes of one kind with both arms under, on which variants are tried."""
+    """Hold scenes of one kind with both arms under, on which variants are tried."""
 
     def __init__(self, env: LunarRescueEnv, checker: CollisionChecker, name: str, count: int) -> None:
         self._env = env
@@ -62,12 +62,12 @@ class _Bench:
 
 
 def search(name: str, candidates: int, scenes: int) -> tuple[list[Variant], list[float]]:
-    """Variants of one kind, the most useful first, and each one's share of successes."""
+    """Return variants of one kind, the most useful first, and each one's share of successes."""
     env, checker = LunarRescueEnv(), CollisionChecker()
     bench = _Bench(env, checker, name, scenes)
-    rng = np.random.default_rng([FIRST_SEED, sorted(THEN).index(name)])
-    base = scripted_variant(name)
-    kept: list[Variant] = []
+    rng = np.random.default_rng([FIRST_SEED, KINDS.index(name)])
+    base = load_way_points(SCRIPT)[name][0]
+    variants: list[Variant] = []
     rows: list[list[bool]] = []
     best, most = base, 0.0
     for index in range(candidates):
@@ -77,18 +77,18 @@ def search(name: str, candidates: int, scenes: int) -> tuple[list[Variant], list
         if index and np.mean(row) < KEEP:
             continue
         row += bench.try_out(candidate, FIRST_SCENES, scenes)
-        kept.append(candidate)
+        variants.append(candidate)
         rows.append(row)
         if np.mean(row) > most:
             best, most = candidate, float(np.mean(row))
     env.close()
     checker.close()
     order = _cover(np.array(rows, dtype=float))
-    return [kept[i] for i in order], [round(float(np.mean(rows[i])), 3) for i in order]
+    return [variants[i] for i in order], [round(float(np.mean(rows[i])), 3) for i in order]
 
 
 def _cover(success: Array) -> list[int]:
-    """Order of the rows of (variants, scenes): the best first, then whichever adds most to what is covered."""
+    """Order the rows of (variants, scenes): the best first, then whichever adds most to what is covered."""
     order: list[int] = []
     # A scene that was solved often counts little, but counts: the physics of a new scene is not exactly an old one's.
     weight = np.ones(success.shape[1])
@@ -101,24 +101,29 @@ def _cover(success: Array) -> list[int]:
     return order
 
 
+def _as_data(point: WayPoint) -> dict[str, float]:
+    return {key: round(value, 3) for key, value in asdict(point).items()}
+
+
 def main() -> None:
     """Search all kinds and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=DATA_FILE)
+    parser.add_argument("--out", type=Path, default=VARIANTS)
     parser.add_argument("--candidates", type=int, default=CANDIDATES)
     parser.add_argument("--scenes", type=int, default=SCENES)
-    chosen = parser.parse_args()
+    options = parser.parse_args()
+    check_writable(options.out)
     origin = provenance()  # of the code that runs, whatever is edited meanwhile
     kinds, shares = {}, {}
-    for name in sorted(THEN):
-        variants, shares[name] = search(name, chosen.candidates, chosen.scenes)
-        kinds[name] = [as_data(variant) for variant in variants]
+    for name in KINDS:
+        variants, shares[name] = search(name, options.candidates, options.scenes)
+        kinds[name] = [[_as_data(point) for point in variant] for variant in variants]
         print(name, shares[name], flush=True)
     how = (
-        f"random search around the way-points of method scripted, {chosen.candidates} candidates of a kind on "
-        f"{chosen.scenes} training scenes each from seed {FIRST_SEED} on, then in the order in which each adds most"
+        f"random search around the way-points of method scripted, {options.candidates} candidates of a kind on "
+        f"{options.scenes} training scenes each from seed {FIRST_SEED} on, then in the order in which each adds most"
     )
-    write_json(chosen.out, {"how": how, "shares": shares, "kinds": kinds, "origin": origin})
+    write_json(options.out, {"how": how, "shares": shares, "kinds": kinds, "origin": origin})
 
 
 if __name__ == "__main__":
