@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,33 +35,20 @@ GROUPS = ("task", "posture", "pair", "terrain")
 def solve_scene(seed: int, planner: RescuePlanner) -> dict[str, Any]:
     """Plan one scene, act the plan out in an environment of its own and return the scene's row."""
     scene = sample_scene(seed)
-    policy, env = PlannerPolicy(planner), LunarRescueEnv()
-    try:
+    policy = PlannerPolicy(planner)
+    with closing(LunarRescueEnv()) as env:
         ended = run_episode(env, policy, scene)
-    finally:
-        env.close()
     plan, under, rescued = policy.plan, bool(ended["both_arms_under"]), bool(ended["is_success"])
     return {
-        "seed": seed,
-        "task": scene.task,
-        "posture": scene.posture,
-        "terrain": scene.terrain.kind,
-        "slope": round(scene.terrain.slope, 3),
-        "rocks": len(scene.rocks),
-        "mass": round(scene.mass, 2),
+        **{key: ended[key] for key in ("seed", "task", "posture", "terrain", "rocks", "mass", "steps", "failure")},
+        "slope": scene.terrain.slope,
         "process1": int(under),
         "rescued": int(rescued),
         # A first try counts when it was the plan, and the plan did here what it had promised.
         "first_try_process1": int(plan.first_under and under),
         "first_try_rescued": int(plan.first_rescued and rescued),
         "as_planned": int((rescued, under) == (plan.rescued, plan.under)),
-        "way": plan.way,
-        "ways_tried": plan.ways_tried,
-        "variants_tried": plan.variants_tried,
-        "variant": plan.variant,
-        "steps": ended["steps"],
-        "failure": ended["failure"] or "",
-        "seconds": round(plan.seconds, 3),
+        **{key: getattr(plan, key) for key in ("way", "ways_tried", "variants_tried", "variant", "seconds")},
     }
 
 
@@ -79,13 +67,14 @@ def summarise_solvability(scenes: pd.DataFrame) -> dict[str, Any]:
         "shares": {column: {"meaning": meaning, **_share(scenes[column])} for column, meaning in SHARES.items()},
         "by_group": {
             column: {
-                key: paired.groupby(key)[column].agg(tests="size", successes="sum").to_dict("index") for key in GROUPS
+                key: paired.groupby(key).agg(tests=(column, "size"), successes=(column, "sum")).to_dict("index")
+                for key in GROUPS
             }
             for column in ("process1", "rescued")
         },
         "as_planned": int(scenes["as_planned"].sum()),
         "ways": scenes["way"].value_counts().to_dict(),
-        "failures": scenes["failure"].replace("", None).value_counts().to_dict(),
+        "failures": scenes["failure"].value_counts().to_dict(),
         "mean_steps": float(scenes["steps"].mean()),
         "mean_variants_tried": float(scenes["variants_tried"].mean()),
         "planning_seconds_per_scene": float(scenes["seconds"].mean()),
@@ -95,13 +84,8 @@ def summarise_solvability(scenes: pd.DataFrame) -> dict[str, Any]:
 
 def _share(successes: pd.Series[int]) -> dict[str, float]:
     count, tests = int(successes.sum()), len(successes)
-    interval = binomtest(count, tests).proportion_ci(confidence_level=0.95, method="wilson")
-    return {
-        "scenes": count,
-        "share": count / tests,
-        "wilson_low": float(interval.low),
-        "wilson_high": float(interval.high),
-    }
+    low, high = binomtest(count, tests).proportion_ci(confidence_level=0.95, method="wilson")
+    return {"scenes": count, "share": count / tests, "wilson_low": float(low), "wilson_high": float(high)}
 
 
 def measure_solvability(
@@ -129,21 +113,17 @@ def measure_solvability(
     Raises:
         UserError: On numbers out of range or a place that cannot be written, before any scene is planned.
     """
-    seeds, begun = scene_seeds(tests, first_seed), time.monotonic()
+    begun, seeds = time.monotonic(), scene_seeds(tests, first_seed)
     RescuePlanner(variants)  # a bad cap fails here, in one line, and not in a worker
     table, summaries = folder / "scenes.csv", [folder / "summary.json", *([json] if json else [])]
     for path in [table, *summaries]:
         check_writable(path)
     with locked(folder, "results of the planner"):
         scenes = pd.DataFrame(map_scenes(partial(_solve, variants=variants), seeds, title="planner", quiet=quiet))
-        summary = {
-            "first_seed": first_seed,
-            "most_variants": variants,
-            **summarise_solvability(scenes),
-            "seconds": round(time.monotonic() - begun, 2),
-            "origin": provenance(),
-        }
-        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n"))
+        settings = {"first_seed": first_seed, "most_variants": variants}
+        took = {"seconds": round(time.monotonic() - begun, 2), "origin": provenance()}
+        summary = settings | summarise_solvability(scenes) | took
+        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n", float_format="%.3f"))
         record_origin(table)
         for path in summaries:
             write_json(path, summary)

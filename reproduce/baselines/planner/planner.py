@@ -1,4 +1,4 @@
-"""A whole rescue, planned with full knowledge and tried out in a copy of the environment before it is done."""
+"""Plan a whole rescue with full knowledge, trying it out in a copy of the environment before it is done."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class _Search:
         under = [*filter(None, [self._next_under()])]
         if not under:
             # A way that failed, or to stand still.
-            still = Trial(np.zeros((1, JOINTS), dtype=np.float32), None, False, None)
+            still = Trial(np.zeros((1, JOINTS), dtype=np.float32), None, False)
             return (self._failed or [still])[0], "none", -1
         for index, variant in enumerate(islice(_variants(self._scene), most)):
             if index and index % OTHER_WAY_AFTER == 0:

@@ -1,4 +1,4 @@
-"""Trying a plan out in an environment: follow a joint path until both arms are under, then way-points."""
+"""Try a plan out in an environment: follow a joint path until both arms are under, then way-points."""
 
 from __future__ import annotations
 
@@ -28,22 +28,19 @@ class Trial:
         actions: What was done (steps, 11).
         under: Step at which both arms were under, or None.
         rescued: Whether the rescue succeeded.
-        failure: The environment's word for what went wrong, or None.
     """
 
     actions: Actions
     under: int | None
     rescued: bool
-    failure: str | None
 
 
 class Rollout:
-    """Runs plans for one scene in an environment of its own, every one from the episode's beginning."""
+    """Run plans for one scene in an environment, every one from the episode's beginning."""
 
     def __init__(self, env: LunarRescueEnv, scene: Scene) -> None:
         """Use ``env`` until the next scene."""
         self._env, self._scene = env, scene
-        self.steps = 0
 
     def approach(self, path: Array) -> Trial:
         """Follow a path (m, 11) [rad] until both arms are under."""
@@ -55,9 +52,9 @@ class Rollout:
         """Repeat an approach, then go through a variant's way-points.
 
         Args:
-            approach: That got both arms under.
-            variant: Way-points.
-            targets: As first seen, base frame (2, 3) [m].
+            approach: Trial that got both arms under.
+            variant: Way-points of the lift or turn.
+            targets: The two targets as first seen, base frame (2, 3) [m].
         """
         self._begin()
         for action in approach.actions:
@@ -72,19 +69,19 @@ class Rollout:
         self._env.reset_flat(options={"scene": self._scene})
         self._actions: list[Actions] = []
         self._under: int | None = None
-        self._rescued, self._failure, self._done = False, None, False
+        self._rescued = self._done = False
 
     def _step(self, action: NDArray[np.floating]) -> None:
         # What is tried is what will be done: a policy's actions are single precision.
         single = np.asarray(action, dtype=np.float32)
         _, _, terminated, truncated, info = self._env.step_flat(single)
-        self.steps += 1
         self._actions.append(single)
         if info["both_arms_under"] and self._under is None:
             self._under = len(self._actions)
         self._done = terminated or truncated
-        self._rescued, self._failure = bool(info["is_success"]), info["failure"]
+        self._rescued = bool(info["is_success"])
 
+    @property
     def _angles(self) -> Array:
         return self._env.episode.robot.angles
 
@@ -94,24 +91,24 @@ class Rollout:
         at, waited = 0, 0
         while not self._done and self._under is None and waited < SETTLE:
             near = points[at : at + WINDOW]
-            at += int(np.abs(near - self._angles()).max(axis=1).argmin())
+            at += int(np.abs(near - self._angles).max(axis=1).argmin())
             aim = min(at + AHEAD, len(points) - 1)
             waited += aim == len(points) - 1
             self._step(self._env.robot.action_for(points[aim]))
 
     def _pass_through(self, variant: Variant, targets: Array) -> None:
-        joints = self._angles().copy()
+        joints = self._angles.copy()
         for index, point in enumerate(variant):
             joints = point.joints(targets, joints)
             action = self._env.robot.action_for(joints)
             wanted = self._env.robot.joint_targets(action)
             left = point.patience
             while not self._done and (left > 0 or index == len(variant) - 1):
-                if left < point.patience and index < len(variant) - 1:
-                    if np.all(np.abs(self._angles() - wanted) < ARRIVED):
-                        break
+                begun = left < point.patience and index < len(variant) - 1
+                if begun and np.all(np.abs(self._angles - wanted) < ARRIVED):
+                    break
                 self._step(action)
                 left -= 1
 
     def _trial(self) -> Trial:
-        return Trial(np.array(self._actions), self._under, self._rescued, self._failure)
+        return Trial(np.array(self._actions), self._under, self._rescued)
