@@ -27,21 +27,13 @@ _WINDOW = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
 
 @dataclass
 class _Progress:
-    """How far the script has come in one environment.
+    """How far the script has come in one environment."""
 
-    Attributes:
-        targets: The two targets as first seen (2, 3) [m].
-        points: All way-points.
-        index: The present one.
-        left: Steps that may still be spent on it.
-        joints: What it asks for (11,) [rad].
-    """
-
-    targets: Array
+    targets: Array  # the two targets as first seen (2, 3) [m]
     points: Variant
-    index: int = -1
-    left: int = 0
-    joints: Array = field(default_factory=_INITIAL.copy)
+    index: int = -1  # of the present way-point
+    left: int = 0  # steps that may still be spent on it
+    joints: Array = field(default_factory=_INITIAL.copy)  # it asks for (11,) [rad]
 
     def action(self, angles: NDArray[np.float32]) -> Array:
         """Return Eq. 3's action for joint angles (11,) in Eq. 3's units, going on where a way-point is reached."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from lunar_rescue import Scene
 from lunar_rescue.physics.kinematics import solve_arms
 from lunar_rescue.physics.robot import ARMS, JOINTS, WAIST
 from reproduce.learning.actions import LOWER, UPPER
@@ -24,6 +26,7 @@ Data = TypeVar("Data")
 
 DATA = Path(__file__).parent / "planner" / "data"
 SCRIPT, VARIANTS = DATA / "script.json", DATA / "variants.json"
+LONGEST_WAIT = 60  # steps at a way-point that is drawn
 ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 Metres = Annotated[float, Interval(ge=-2.0, le=2.0)]
@@ -70,6 +73,32 @@ class WayPoint:
 
 
 Variant = tuple[WayPoint, ...]
+
+
+def kind(scene: Scene) -> str:
+    """Name the way-points that suit a scene: its task and the attitude of the body."""
+    attitude = scene.model.attitude
+    return f"{scene.task} {'side' if attitude.endswith('side') else attitude}"
+
+
+def vary(variant: Variant, rng: np.random.Generator, spread: float = 1.0) -> Variant:
+    """Return a variant nearby, every number moved at random by amounts in proportion to ``spread``."""
+    shift = rng.normal(0.0, 0.04 * spread, 3)
+    points = []
+    for point in variant:
+        ahead, aside, up = np.array([point.ahead, point.aside, point.up]) + shift * [1, 0.7, 0.5]
+        ahead, up = ahead + rng.normal(0.0, 0.05 * spread), up + rng.normal(0.0, 0.04 * spread)
+        moved = replace(
+            point,
+            ahead=float(ahead),
+            aside=float(aside),
+            up=float(max(up, -0.02)),
+            slope=float(np.clip(point.slope + rng.normal(0.0, 6.0 * spread), -30.0, 75.0)),
+            waist=float(np.clip(point.waist + rng.normal(0.0, 6.0 * spread), -35.0, 60.0)),
+            patience=int(np.clip(round(point.patience * np.exp(rng.normal(0.0, 0.25 * spread))), 4, LONGEST_WAIT)),
+        )
+        points.append(moved)
+    return tuple(points)
 
 
 @dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))

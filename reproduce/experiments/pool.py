@@ -43,19 +43,16 @@ def map_scenes(
     workers: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
-    """Call a function with each seed and show how far it has come.
+    """Return a function's answers to all seeds, in their order, and show how far it has come meanwhile.
 
     Args:
-        function: Called in a worker process with a seed; must pickle.
-        seeds: Of the scenes.
-        initializer: Called once in each worker, with ``arguments``.
-        arguments: Must pickle.
-        title: Beside the progress bar.
-        workers: Processes; None is one a core.
-        quiet: No progress bar.
-
-    Returns:
-        The answers in the order of seeds.
+        function: Called with a seed in a worker process; must pickle.
+        seeds: The scenes.
+        initializer: Called once in each worker, with ``arguments``, which must pickle.
+        arguments: For the initializer.
+        title: Text beside the progress bar.
+        workers: Number of processes; None is one a core.
+        quiet: Whether to leave the progress bar out.
 
     Raises:
         RunFailedError: When a worker was killed or crashed.

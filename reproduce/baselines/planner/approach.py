@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -45,8 +45,8 @@ class Effort:
     Attributes:
         touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
             to the ground gives way to a plate, which only trying out can tell.
-        draws: Of RRT-Connect for one way; without any only straight lines are tried.
-        slides: For which a way is sought, of one stance.
+        draws: Draws of RRT-Connect for one way; without any only straight lines are tried.
+        slides: Slides of one stance for which a way is sought.
     """
 
     touches: tuple[float, ...]
@@ -88,13 +88,7 @@ class Goal:
 
 @strict_dataclass(frozen=True, config=STRICT)
 class Choices:
-    """What is tried out, from the likeliest on.
-
-    Attributes:
-        how: Where the numbers come from.
-        stances: Of the waist.
-        goals: Of each arm; none misses the target by more than its radius.
-    """
+    """Stances of the waist and goals of each arm, from the likeliest on, and a word about them."""
 
     how: str
     stances: list[Stance]
@@ -115,14 +109,8 @@ EFFORTS = (
 )
 
 
-@dataclass(frozen=True)
-class Way:
-    """A joint path that brings both plates under the body.
-
-    Attributes:
-        path: Angles from the start to the goal (m, 11) [rad].
-        kind: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
-    """
+class Way(NamedTuple):
+    """A joint path (m, 11) [rad] that brings both plates under the body, ``"straight"`` or found by ``"rrt"``."""
 
     path: Array
     kind: str

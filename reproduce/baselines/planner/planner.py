@@ -15,9 +15,8 @@ from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.planner.variants import kind, vary
 from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
-from reproduce.baselines.way_points import Variant, load_way_points
+from reproduce.baselines.way_points import Variant, kind, load_way_points, vary
 from reproduce.storage.errors import UserError
 
 APPROACHES = 8  # ways tried out, at most

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +20,8 @@ WINDOW = 12  # points among which the nearest one is looked for
 SETTLE = 10  # steps at the end of the path, before giving up
 
 
-@dataclass(frozen=True)
-class Trial:
-    """How a plan went.
-
-    Attributes:
-        actions: What was done (steps, 11).
-        under: Step at which both arms were under, or None.
-        rescued: Whether the rescue succeeded.
-    """
+class Trial(NamedTuple):
+    """How a plan went: actions (steps, 11), step at which both arms were under, or None, and whether it succeeded."""
 
     actions: Actions
     under: int | None
@@ -46,7 +39,7 @@ class Rollout:
         """Follow a path (m, 11) [rad] until both arms are under."""
         self._begin()
         self._follow(path)
-        return self._trial()
+        return Trial(np.array(self._actions), self._under, self._rescued)
 
     def rescue(self, approach: Trial, variant: Variant, targets: Array) -> Trial:
         """Repeat an approach, then go through a variant's way-points.
@@ -62,7 +55,7 @@ class Rollout:
                 break
             self._step(action)
         self._pass_through(variant, targets)
-        return self._trial()
+        return Trial(np.array(self._actions), self._under, self._rescued)
 
     # -- parts -------------------------------------------------------------------------------------------------------
     def _begin(self) -> None:
@@ -109,6 +102,3 @@ class Rollout:
                     break
                 self._step(action)
                 left -= 1
-
-    def _trial(self) -> Trial:
-        return Trial(np.array(self._actions), self._under, self._rescued)

@@ -19,8 +19,7 @@ from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.planner.variants import kind, vary
-from reproduce.baselines.way_points import SCRIPT, VARIANTS, Variant, WayPoint, load_way_points
+from reproduce.baselines.way_points import SCRIPT, VARIANTS, Variant, WayPoint, kind, load_way_points, vary
 from reproduce.storage.files import check_writable, write_json
 from reproduce.storage.provenance import provenance
 
