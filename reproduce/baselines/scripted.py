@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.observation import SLICES
-from lunar_rescue.physics.robot import ARM_WINDOW, INITIAL_ARM, INITIAL_WAIST, WAIST_WINDOW
-from reproduce.baselines.way_points import ARRIVED, SCRIPT, Variant, load_way_points
+from lunar_rescue.physics.kinematics import solve_arm
+from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, INITIAL_WAIST, JOINTS, WAIST, WAIST_WINDOW
+from reproduce.baselines.way_points import ARRIVED, SCRIPT, Variant, WayPoint, load_way_points
+from reproduce.learning.actions import LOWER, UPPER
 from reproduce.learning.policy import Actions, Observations
 
 Array = NDArray[np.float64]
@@ -41,7 +43,7 @@ class _Progress:
         if (arrived or self.left <= 0) and self.index + 1 < len(self.points):
             self.index += 1
             self.left = self.points[self.index].patience
-            self.joints = self.points[self.index].joints(self.targets, self.joints)
+            self.joints = _solve(self.points[self.index], self.targets, self.joints)
         self.left -= 1
         return _to_action(self.joints)
 
@@ -76,6 +78,15 @@ def _kind(row: NDArray[np.float32]) -> str:
     if row[SLICES["I"]][0] > 0.5:
         return "lift supine" if front_up > 0 else "lift prone"
     return "turn_over side" if abs(front_up) < SIDE_FRONT else "turn_over prone"
+
+
+def _solve(point: WayPoint, targets: Array, before: Array) -> Array:
+    joints = np.empty(JOINTS)
+    joints[WAIST] = np.radians(point.waist)
+    for arm, place in zip(ARMS, targets + [point.ahead, point.aside, point.up], strict=True):
+        j = arm.joints
+        joints[j] = solve_arm(place, np.radians(point.slope), joints[WAIST], arm.side, before[j], LOWER[j], UPPER[j])
+    return joints
 
 
 def _to_action(joints: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
@@ -140,6 +141,20 @@ def solve_arms(
         jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
         damping = np.clip(np.where(better, damping * 0.2, damping * 6.0), 1e-7, 1e3)
     return q, np.linalg.norm(residual[:, :3], axis=1) / WEIGHTS[0]
+
+
+def solve_arm(target: Array, slope: float, waist: float, side: int, start: Array, lower: Array, upper: Array) -> Array:
+    """Solve one pose of what ``solve_arms`` solves with SciPy, which stops a little sooner; return the joints (5,)."""
+    wanted = np.array([target[0], side * target[1], target[2], np.sin(slope), 0.0])
+
+    def residual(joints: Array) -> Array:
+        off = WEIGHTS * (ArmChain(np.array([waist]), joints[None]).pose[0] - wanted)
+        return np.concatenate([off, POSTURE * (joints - start)])
+
+    inside = np.clip(start, lower + 1e-6, upper - 1e-6)
+    solution = least_squares(residual, inside, bounds=(lower, upper), xtol=1e-6, ftol=1e-6, max_nfev=60)
+    joints: Array = solution.x
+    return joints
 
 
 def _bounded_step(q: Array, residual: Array, jacobian: Array, damping: Array, lower: Array, upper: Array) -> Array:
