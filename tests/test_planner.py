@@ -161,6 +161,7 @@ def test_solvability_writes_rows_summary_and_origin(tmp_path: Path) -> None:
     )
     rows = (tmp_path / "scenes.csv").read_text().splitlines()
     assert len(rows) == 3 and rows[0].startswith("seed,task,posture,terrain")
+    assert summarise_solvability(pd.read_csv(tmp_path / "scenes.csv")).items() <= summary.items()
     assert "scenes.csv" in json.loads((tmp_path / "origins.json").read_text())
     assert summary["tests"] == summary["as_planned"] == 2
     assert summary["origin"]["commit"]

@@ -119,11 +119,11 @@ def measure_solvability(
     for path in [table, *summaries]:
         check_writable(path)
     with locked(folder, "results of the planner"):
-        scenes = pd.DataFrame(map_scenes(partial(_solve, variants=variants), seeds, title="planner", quiet=quiet))
-        settings = {"first_seed": first_seed, "most_variants": variants}
+        rows = map_scenes(partial(_solve, variants=variants), seeds, title="planner", quiet=quiet)
+        scenes = pd.DataFrame(rows).round(3)
         took = {"seconds": round(time.monotonic() - begun, 2), "origin": provenance()}
-        summary = settings | summarise_solvability(scenes) | took
-        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n", float_format="%.3f"))
+        summary = {"first_seed": first_seed, "most_variants": variants} | summarise_solvability(scenes) | took
+        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n"))
         record_origin(table)
         for path in summaries:
             write_json(path, summary)
