@@ -124,7 +124,7 @@ def test_advantages_by_hand() -> None:
     rewards, values = np.array([1.0, 2.0, 3.0], np.float32), np.array([0.5, 0.4, 0.3], np.float32)
     ends = np.array([False, True, False])
     advantages, returns = advantages_and_returns(rewards, values, 2.0, ends, gamma=0.9, lam=0.8)
-    # The third: 3 + 0.9 x 2 - 0.3. The second, whose episode ended: 2 - 0.4. The first: 1 + 0.9 x 0.4 - 0.5 + 0.72 x 1.6.
+    # Third: 3 + 0.9 x 2 - 0.3. Second, whose episode ended: 2 - 0.4. First: 1 + 0.9 x 0.4 - 0.5 + 0.72 x 1.6.
     assert advantages == pytest.approx([2.012, 1.6, 4.5], abs=1e-6)
     assert returns == pytest.approx([2.512, 2.0, 4.8], abs=1e-6)
     assert advantages.dtype == returns.dtype == np.float32
