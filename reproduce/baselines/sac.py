@@ -123,13 +123,14 @@ class CheckpointedSAC(SAC):
         self.collect_rollouts(env, callback, EACH_STEP, self.replay_buffer, learning_starts=0, log_interval=None)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Learn from minibatches of the buffer; see SB3.
+        """Take gradient steps on minibatches of the buffer; see SB3.
 
         Raises:
             RunFailedError: When a loss is not finite.
         """
-        super().train(gradient_steps, batch_size)
-        check_losses(self.where, self.logger.name_to_value)
+        for _ in range(gradient_steps):
+            super().train(1, batch_size)
+            check_losses(self.where, self.logger.name_to_value)
 
 
 def make_sac(env: Any, config: SacConfig, seed: int) -> CheckpointedSAC:

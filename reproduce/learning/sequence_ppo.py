@@ -196,10 +196,10 @@ class SequencePPO(RecurrentPPO):
         with th.no_grad():
             log_ratio = log_prob.detach() - data["log_probs"]
             log = {
-                "loss": float(loss.detach()),
                 "policy_gradient_loss": float(policy_loss.detach()),
                 "value_loss": float(value_loss.detach()),
                 "entropy_loss": float(entropy_loss.detach()),
+                "loss": float(loss.detach()),
                 "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
                 "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
             }
