@@ -98,7 +98,7 @@ def test_a_memory_task_is_solved() -> None:
     learner.learn(8_000)
     collect(learner)
     rewards = learner.rollout_buffer.rewards
-    # Without memory the best is 0 an episode, with it 1; guessing gives 0 with a spread of 1 / sqrt(32) over 32 episodes.
+    # Without memory the best is 0 an episode, with it 1; guesses spread by 1 / sqrt(32) around 0.
     assert rewards.sum() / (rewards.size / 6) > 0.7
 
 

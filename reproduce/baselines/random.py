@@ -23,7 +23,7 @@ class RandomPolicy:
         self._rng = np.random.default_rng(seed)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """Draw actions; see ``Policy.act``."""
+        """Draw actions (n, 11) without a look at the observations; see ``Policy.act``."""
         return self._rng.uniform(-1.0, 1.0, (len(observations), JOINTS)).astype(np.float32)
 
     def overlay(self) -> dict[str, NDArray[Any]]:

@@ -49,7 +49,7 @@ class StandardisedExtractor(BaseFeaturesExtractor):
         self.standardiser = Standardiser(size)
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Standardise observations (n, d)."""
+        """Standardise observations (n, d) by their statistics so far."""
         standardised: th.Tensor = self.standardiser(observations)
         return standardised
 
@@ -69,7 +69,7 @@ class SacSpec:
     hidden_units: int
 
     def build(self) -> Actor:
-        """Make the actor, untrained."""
+        """Make an actor of these sizes, not trained."""
         seen, acts = flat_spaces(self.observations, self.actions)
         return SACPolicy(seen, acts, lambda _: 0.0, **policy_arguments(self.hidden_units)).actor
 
@@ -209,7 +209,7 @@ class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
     def __init__(self, actor: Actor, mirrored: bool = True) -> None:
-        """Begin with no environment.
+        """Make a policy that acts in no environment yet.
 
         Args:
             actor: The trained network.

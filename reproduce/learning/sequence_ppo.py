@@ -74,15 +74,15 @@ class SequencePPO(RecurrentPPO):
         self.batch_rng = np.random.default_rng(self.seed)
 
     def state_tensors(self) -> dict[str, th.Tensor]:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Return weights and moments of the optimiser; see ``checkpoint.Learner``."""
         return {**module_tensors("policy", self.policy), **optimizer_tensors("optimizer", self.policy.optimizer)}
 
     def state_numbers(self) -> dict[str, Any]:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Return the state of the minibatches' generator and the rate factor; see ``checkpoint.Learner``."""
         return {"batch_rng": self.batch_rng.bit_generator.state, "rate_factor": self.rate_factor}
 
     def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Go on from what the two methods above returned; see ``checkpoint.Learner``."""
         restore_module("policy", self.policy, tensors)
         restore_optimizer("optimizer", self.policy.optimizer, tensors)
         self.batch_rng.bit_generator.state = numbers["batch_rng"]

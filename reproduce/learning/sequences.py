@@ -46,7 +46,7 @@ class Rollout:
     bounds: NDArray[np.int64]
 
     def __len__(self) -> int:
-        """Count the transitions, m."""
+        """Return the number of transitions, m."""
         return len(self.observations)
 
 

@@ -17,11 +17,11 @@ class ClosedVecEnv(VecEnv):
         self._refuse(attr_name)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> NoReturn:
-        """Refuse to set an attribute."""
+        """Refuse, as no attribute can be set."""
         self._refuse(attr_name)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> NoReturn:
-        """Refuse to call a method."""
+        """Refuse, as no method can be called."""
         self._refuse(method_name)
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:

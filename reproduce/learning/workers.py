@@ -145,7 +145,7 @@ class WorkerVecEnv(ClosedVecEnv):
     """
 
     def __init__(self, count: int, seed: int, options: EnvOptions | None = None, workers: int | None = None) -> None:
-        """Start the workers.
+        """Start worker processes and wait until their environments are made.
 
         Args:
             count: Number of environments.

@@ -92,7 +92,7 @@ class FunSpec:
     horizon: int
 
     def build(self) -> FunNetwork:
-        """Make the network, untrained."""
+        """Make a network of these sizes, not trained."""
         sizes = asdict(self)
         return FunNetwork(*flat_spaces(sizes.pop("observations"), sizes.pop("actions")), lambda _: 0.0, **sizes)
 
@@ -106,7 +106,7 @@ class FunNetwork(BasePolicy):
     def __init__(
         self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
-        """Build the network.
+        """Build the network that spaces and sizes describe.
 
         Args:
             seen: Space of flat observations (o,).

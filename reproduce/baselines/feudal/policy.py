@@ -19,7 +19,7 @@ class FunPolicy(MirroredPolicy):
     """Manager and Worker, both acting every step, with no random goals."""
 
     def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
-        """Begin with no environment.
+        """Make a policy that acts in no environment yet.
 
         Args:
             network: Manager and Worker, trained.
@@ -30,11 +30,11 @@ class FunPolicy(MirroredPolicy):
         self.network, self._deterministic = network, deterministic
 
     def begin(self, count: int) -> None:
-        """See ``MirroredPolicy``."""
+        """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
         self._memory = self.network.empty_memory(count)
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``MirroredPolicy``."""
+        """Return Worker's actions (n, 11); see ``MirroredPolicy``."""
         self._memory.forget(th.from_numpy(np.asarray(starts, bool)))
         step = self.network.step(th.from_numpy(observations), self._memory, self._deterministic)
         actions: Actions = step.actions.numpy()

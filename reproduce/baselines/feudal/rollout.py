@@ -24,7 +24,7 @@ class FunBuffer(RolloutBuffer):
     last_observations: list[tuple[int, NDArray[np.int64], th.Tensor]]
 
     def __init__(self, *args: Any, spec: FunSpec, sequence_length: int, **kwargs: Any) -> None:
-        """Make an empty buffer.
+        """Make a buffer of zeros for one rollout.
 
         Args:
             *args: See ``RolloutBuffer``.
