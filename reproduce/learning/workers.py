@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import traceback
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -26,6 +25,7 @@ from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.learning.splits import train_seed
 from reproduce.learning.vec_env import ClosedVecEnv
+from reproduce.storage.processes import die_with_parent, start_fork_server
 
 #: Names of the reward's terms in the order of the shared array.
 TERMS = tuple(term.name for term in rewards.TERMS)
@@ -112,7 +112,7 @@ class _Worker:
 
 def _work(pipe: Connection, *share: Any) -> None:
     """Serve a ``_Worker`` until told to close or until the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
+    die_with_parent()
     try:
         _Worker(*share).serve(pipe)
     except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
@@ -174,6 +174,7 @@ class WorkerVecEnv(ClosedVecEnv):
     def _start(self, indices: range, options: EnvOptions, seed: int) -> None:
         ours, theirs = _SPAWN.Pipe()
         arguments = (theirs, list(self._raws), indices, self.num_envs, options, seed)
+        start_fork_server()
         process = _SPAWN.Process(target=_work, args=arguments, daemon=True)
         process.start()
         theirs.close()
@@ -233,5 +234,5 @@ class WorkerVecEnv(ClosedVecEnv):
         for process in self._processes:
             process.join(timeout=5)
             if process.is_alive():
-                process.terminate()
+                process.kill()
         self._pipes, self._processes = [], []
