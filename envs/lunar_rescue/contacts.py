@@ -52,7 +52,7 @@ def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -
         return False
 
     def under(end: Array, direction: Array) -> bool:
-        """Whether the body is straight above some point along the plate."""
+        """Tell whether the body is straight above some point along the plate."""
         points = (end + along * direction + PLATE_TOP for along in PLATE_POINTS)
         return any(simulation.ray_hits(point, point + RAY, episode.astronaut.handle) for point in points)
 

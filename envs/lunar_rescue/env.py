@@ -93,7 +93,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, Any]]:
-        """Hold an action for 0.1 s."""
+        """Hold an action for 0.1 s and return what Gymnasium wants of a step."""
         vector, reward, terminated, truncated, info = self.step_flat(action)
         return as_dict(vector), reward, terminated, truncated, info
 
@@ -120,7 +120,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
     def reset_flat(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """As ``reset``, with the observation as one vector (SIZE,)."""
+        """Start an episode as ``reset`` does, with the observation as one vector (SIZE,)."""
         self._check_open()
         super().reset(seed=seed)
         scene = self._choose_scene(seed, dict(options or {}))
@@ -130,7 +130,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
     def step_flat(
         self, action: NDArray[np.floating[Any]]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """As ``step``, with the observation as one vector (SIZE,)."""
+        """Hold an action as ``step`` does, with the observation as one vector (SIZE,)."""
         episode, clipped = self.episode, _checked_action(action)
         before = episode.robot.angles
         self.robot.drive(clipped, before)
@@ -144,7 +144,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
 
     @property
     def episode(self) -> Episode:
-        """Return the episode under way."""
+        """Return the episode under way; without one, or once closed, this is an error."""
         self._check_open()
         if self._episode is None:
             raise RuntimeError("LunarRescue-v0: call reset() before step() or render()")
@@ -217,7 +217,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         return terms, success, failure
 
     def _succeeds(self, e: Episode) -> bool:
-        """Process 2: the pose held for ``HOLD_STEPS``, after process 1."""
+        """Count the steps in the goal pose after process 1, and tell whether they are ``HOLD_STEPS``."""
         held = e.process == 2 and e.task.pose_reached(e.body)
         held = held and e.task.contacts_right(body_contacts(self.simulation, self.robot, e))
         e.held = e.held + 1 if held else 0

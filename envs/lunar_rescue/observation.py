@@ -95,7 +95,7 @@ def as_dict(vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
 
 
 def observation_table() -> list[dict[str, object]]:
-    """Rows key, shape, meaning for notebooks and documentation."""
+    """Return rows of key, shape, meaning for notebooks and documentation."""
     return [{"key": e.key, "shape": (e.size,), "meaning": e.meaning} for e in ENTRIES]
 
 
@@ -144,7 +144,7 @@ class Observer:
         return rows
 
     def to_base(self, points: Array) -> Array:
-        """Points (n, 3) of the world in the base frame."""
+        """Express points (n, 3) [m] of the world in the robot's base frame."""
         moved: Array = (points - self._base) @ self._world_to_base
         return moved
 
@@ -158,7 +158,7 @@ class Observer:
         action: Array,
         phase: Array,
     ) -> NDArray[np.float32]:
-        """Return the flat observation (SIZE,), float32."""
+        """Return the flat observation (SIZE,), float32, every entry clipped to ``BOUND``."""
         out = self._template.copy()
         points = self.to_base(np.concatenate([robot.ends, targets, entries, body.centre[None], skeleton]))
         turned = np.concatenate([robot.directions, body.rotation[:, :2].T, body.velocity[None], body.spin[None]])

@@ -37,7 +37,7 @@ def _finite(value: float, name: str) -> float:
 
 
 def approach(best_distance: ArrayLike, distance: ArrayLike, *, beta: float, form: ApproachForm) -> float:
-    """First term of Eq. 2: reward for coming closer than ever before.
+    """Return the first term of Eq. 2: reward for coming closer than ever before.
 
     ``literal`` is beta exp[D_m - D]; ``signed`` is beta (exp[D_m - D] - 1), positive when closer than the best so
     far and negative otherwise, as the paper's text has it.
@@ -64,7 +64,7 @@ def approach(best_distance: ArrayLike, distance: ArrayLike, *, beta: float, form
 
 
 def obstacle_avoidance(distances: ArrayLike, *, rho: float, xi: float) -> float:
-    """Second term of Eq. 2, the artificial potential field (AAPF): -rho log(sum xi / D + 1).
+    """Return the second term of Eq. 2, the artificial potential field (AAPF): -rho log(sum xi / D + 1).
 
     Args:
         distances: D of every joint to every mark point, any shape; an empty array is a scene without rocks [m].
@@ -79,7 +79,7 @@ def obstacle_avoidance(distances: ArrayLike, *, rho: float, xi: float) -> float:
 
 
 def joint_motion(delta: ArrayLike, *, varphi: float) -> float:
-    """Third term of Eq. 2: -varphi sum |delta omega|; absolute, as signed changes would cancel.
+    """Return the third term of Eq. 2: -varphi sum |delta omega|; absolute, as signed changes would cancel.
 
     Args:
         delta: Change of each joint angle of arms and waist in this step, (11,) [rad].
@@ -93,7 +93,7 @@ def joint_motion(delta: ArrayLike, *, varphi: float) -> float:
 
 
 def time_bonus(steps: float, max_steps: float) -> float:
-    """Fourth term of Eq. 2: 1 - 0.9 phi / phi_max, given when the task is completed.
+    """Return the fourth term of Eq. 2: 1 - 0.9 phi / phi_max, given when the task is completed.
 
     Args:
         steps: phi, episode length at completion, in [0, max_steps].
@@ -105,7 +105,7 @@ def time_bonus(steps: float, max_steps: float) -> float:
 
 
 def contact(in_contact: bool) -> float:
-    """The common reward that the ablation uses in place of the AAPF: -0.5 on contact, else +0.5 (section 4.3)."""
+    """Return the reward that the ablation has in place of the AAPF: -0.5 on contact, else +0.5 (section 4.3)."""
     return -0.5 if in_contact else 0.5
 
 
@@ -175,7 +175,7 @@ class RewardTerm:
     formula: str  # what it is, in LaTeX
     weight: tuple[str, ...]  # the fields of ``RewardWeights`` that it reads
     once: bool  # whether it comes at most once an episode, as a milestone does
-    meaning: str  # A few words on when it comes and what it is for
+    meaning: str  # a few words on when it comes and what it is for
     value: Callable[[Transition, RewardWeights], float]  # computes it for one step
 
 

@@ -37,28 +37,28 @@ class Contacts:
 
 
 class Task(ABC):
-    """What the second process wants; one instance an episode."""
+    """The goal of the second process; one instance an episode."""
 
     name: str
 
     def __init__(self, start: AstronautState) -> None:
-        """Remember the pose at rest."""
+        """Remember the pose at rest, from which the task counts."""
         self.start = start
 
     @abstractmethod
     def pose_error(self, state: AstronautState) -> float:
-        """Distance of the pose from the goal pose, positive; about 1 at the start of the second process."""
+        """Return the distance of the pose from the goal pose, positive; about 1 at the start of the second process."""
 
     @abstractmethod
     def pose_reached(self, state: AstronautState) -> bool:
-        """Whether pose and centre of gravity are in the target state, contacts aside."""
+        """Tell whether pose and centre of gravity are in the target state, contacts aside."""
 
     @abstractmethod
     def contacts_right(self, contacts: Contacts) -> bool:
-        """Whether the pose is held the way the task wants it."""
+        """Tell whether the pose is held in the way that the task demands."""
 
     def failure(self, state: AstronautState, process: int) -> str | None:
-        """A word for what went wrong beyond repair, or None."""
+        """Return a word for what went wrong beyond repair, or None."""
         moved = state.centre - self.start.centre
         if math.hypot(moved[0], moved[1]) > LOST_DISTANCE[process]:
             return "out_of_reach"
@@ -71,33 +71,33 @@ class Lift(Task):
     name = "lift"
 
     def rise(self, state: AstronautState) -> float:
-        """Height gained by the centre of gravity [m]."""
+        """Return the height gained by the centre of gravity [m]."""
         return float(state.centre[2] - self.start.centre[2])
 
     def tilt(self, state: AstronautState) -> float:
-        """Change of the long axis' inclination since the start [rad]."""
+        """Return the change of the long axis' inclination since the start [rad]."""
         return abs(_asin(state.rotation[2, 2]) - _asin(self.start.rotation[2, 2]))
 
     def roll(self, state: AstronautState) -> float:
-        """Change of the front's elevation since the start [rad], which is the roll about a level long axis."""
+        """Return the change of the front's elevation since the start [rad], the roll about a level long axis."""
         return abs(_asin(state.front_up) - _asin(self.start.front_up))
 
     def pose_error(self, state: AstronautState) -> float:
-        """Missing height in units of the transport height, plus tilt and roll beyond what is allowed [rad]."""
+        """Return the missing height over the transport height, plus tilt and roll beyond what is allowed [rad]."""
         missing = max(0.0, LIFT_HEIGHT - self.rise(state)) / LIFT_HEIGHT
         beyond = max(0.0, self.tilt(state) - LIFT_TILT) + max(0.0, self.roll(state) - LIFT_ROLL)
         return SMALLEST_ERROR + missing + beyond
 
     def pose_reached(self, state: AstronautState) -> bool:
-        """High enough, level enough."""
+        """Tell whether the body is high enough and level enough."""
         return self.rise(state) >= LIFT_HEIGHT and self.tilt(state) <= LIFT_TILT and self.roll(state) <= LIFT_ROLL
 
     def contacts_right(self, contacts: Contacts) -> bool:
-        """Both arms carry and the ground does not."""
+        """Tell whether both arms carry the body and the ground does not."""
         return not contacts.ground and all(contacts.arms)
 
     def failure(self, state: AstronautState, process: int) -> str | None:
-        """Also lost when the body tilts or rolls out of the arms."""
+        """Return a word also when the body has tilted or rolled out of the arms."""
         if self.tilt(state) > LOST_TILT or self.roll(state) > LOST_ROLL:
             return "attitude_lost"
         return super().failure(state, process)
@@ -109,15 +109,15 @@ class TurnOver(Task):
     name = "turn_over"
 
     def pose_error(self, state: AstronautState) -> float:
-        """Angle still to roll [rad]."""
+        """Return the angle that the body has still to roll [rad]."""
         return SMALLEST_ERROR + max(0.0, math.acos(min(1.0, max(-1.0, state.front_up))) - BACK_ANGLE)
 
     def pose_reached(self, state: AstronautState) -> bool:
-        """Front up."""
+        """Tell whether the front looks up."""
         return state.front_up >= math.cos(BACK_ANGLE)
 
     def contacts_right(self, contacts: Contacts) -> bool:
-        """The ground bears the astronaut."""
+        """Tell whether the ground bears the astronaut."""
         return contacts.ground
 
 

@@ -31,7 +31,7 @@ class AstronautState:
 
     @property
     def front_up(self) -> float:
-        """Cosine between the front and straight up: 1 on the back, -1 face down."""
+        """Return the cosine between the front and straight up: 1 on the back, -1 face down."""
         return float(self.rotation[2, 0])
 
 
@@ -59,24 +59,24 @@ class Astronaut:
 
     @property
     def handle(self) -> int:
-        """The body in the simulation."""
+        """Return the body's handle in the simulation."""
         return self._body.handle
 
     def state(self) -> AstronautState:
-        """Read the pose and velocity."""
+        """Read pose and velocity from the simulation."""
         position, quaternion = self._simulation.raw_pose(self._body)
         linear, angular = self._simulation.velocity(self._body)
         rotation = _matrix(quaternion) @ self._to_body
         return AstronautState(np.array(position), rotation, linear, angular)
 
     def targets(self, state: AstronautState) -> Array:
-        """The two target areas P_G now (head's side, feet's side), moving with the body, (2, 3) [m]."""
+        """Return the two target areas P_G now (head's side, feet's side), moving with the body, (2, 3) [m]."""
         points: Array = self._targets @ state.rotation.T + state.centre
         points[:, 2] = np.maximum(points[:, 2], 0.03)
         return points
 
     def keypoints(self, state: AstronautState) -> Array:
-        """The skeleton's 13 key points now, (13, 3) [m]."""
+        """Return the skeleton's 13 key points now, (13, 3) [m]."""
         points: Array = self._keypoints @ state.rotation.T + state.centre
         return points
 
@@ -108,14 +108,14 @@ def _fixed(posture: Posture, side: int, task: str) -> _Fixed:
 
 
 def _turned(half: float, q: Array) -> Array:
-    """Quaternion of a turn about z by twice ``half`` [rad] after ``q``, x, y, z, w."""
+    """Return the quaternion of a turn about z by twice ``half`` [rad] after ``q``, x, y, z, w."""
     c, s = math.cos(half), math.sin(half)
     x, y, z, w = q.tolist()
     return np.array([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z])
 
 
 def _matrix(q: tuple[float, ...]) -> Array:
-    """Rotation matrix of a quaternion x, y, z, w; SciPy's takes ten times as long for one."""
+    """Return the rotation matrix of a quaternion x, y, z, w; SciPy's takes ten times as long for one."""
     x, y, z, w = q
     return np.array(
         [

@@ -64,7 +64,7 @@ class Bodies(Client):
 
     @property
     def needs_rebuild(self) -> bool:
-        """Whether the world should be renewed before the next episode."""
+        """Tell whether the world should be renewed before the next episode."""
         return self._episodes >= WORLD_LIFE
 
     def add_suit(self, limbs: Limbs, mass: float) -> RigidBody:
@@ -100,7 +100,7 @@ class Bodies(Client):
         )
 
     def _cached_shape(self, key: Any, make: Callable[[], int]) -> int:
-        """A collision shape that is made once in a world's life."""
+        """Return a collision shape, which is built once in a world's life."""
         if key not in self._shapes:
             self._shapes[key] = make()
         return self._shapes[key]
@@ -161,5 +161,5 @@ def _inverse_axes(limbs: Limbs) -> Rotation:
 
 
 def _about_z(yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion x, y, z, w of a heading [rad]."""
+    """Return the quaternion x, y, z, w of a heading [rad]."""
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)

@@ -31,7 +31,7 @@ class Client(NotCopied):
     """One PyBullet client of one's own; a world that nothing else sees."""
 
     def __init__(self, mode: int = pb.DIRECT) -> None:
-        """Connect, as a rule without a window."""
+        """Connect in PyBullet's ``mode``; only a window needs another than the default."""
         with no_greeting():
             self._client: Any = BulletClient(mode)
 

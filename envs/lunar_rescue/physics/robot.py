@@ -84,7 +84,7 @@ class RobotState:
 
     @property
     def ends(self) -> Array:
-        """The two arm ends, (2, 3) [m]."""
+        """Return the two arm ends, (2, 3) [m]."""
         return self.points[ENDS]
 
 
@@ -123,12 +123,12 @@ class Robot:
         self._simulation.limit_speed(self.handle, self.links, JOINT_SPEED)
 
     def joint_targets(self, action: Array) -> Array:
-        """Eq. 3: q = q_init + 60 deg * action, for the waist too, clipped to the joints' limits; (11,) [rad]."""
+        """Return Eq. 3's q = q_init + 60 deg * action, the waist too, clipped to the joints' limits, (11,) [rad]."""
         wanted: Array = np.minimum(np.maximum(self.initial + self.window * action, self.lower), self.upper)
         return wanted
 
     def action_for(self, angles: Array) -> Array:
-        """Inverse of Eq. 3, clipped to [-1, 1]."""
+        """Return the action that asks for these angles (11,) [rad], the inverse of Eq. 3, clipped to [-1, 1]."""
         return np.clip((angles - self.initial) / self.window, -1.0, 1.0)
 
     def rest(self) -> None:
@@ -149,7 +149,7 @@ class Robot:
         self._simulation.drive(self.handle, self._joints, (angles + ahead).tolist(), self._torque_list)
 
     def switch_off(self) -> None:
-        """Let every joint swing freely."""
+        """Switch all motors off, so that every joint swings freely."""
         self._simulation.release(self.handle, self._joints)
 
     def state(self, *, fresh: bool = False) -> RobotState:

@@ -38,7 +38,7 @@ def settle(posture: Posture) -> tuple[float, tuple[float, ...]]:
 
 
 def main() -> int:
-    """Settle the postures of both files."""
+    """Settle the postures of both files and write them back."""
     for path in (DATA_FILE, HELDOUT_FILE):
         settle_file(path)
     return 0

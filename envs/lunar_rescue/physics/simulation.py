@@ -29,7 +29,7 @@ class Simulation(Bodies):
     """Ground, robot, astronaut and rocks in one PyBullet client."""
 
     def __init__(self) -> None:
-        """Connect and load the ground."""
+        """Connect to PyBullet and load the ground."""
         super().__init__()
         # Looked up once: the client binds a function anew at each access.
         self._step = self._client.stepSimulation
@@ -50,7 +50,7 @@ class Simulation(Bodies):
 
     @property
     def client(self) -> int:
-        """PyBullet's number of this client, for experiments that need PyBullet itself."""
+        """Return PyBullet's number of this client, for experiments that need PyBullet itself."""
         return int(self._client._client)
 
     # -- building --------------------------------------------------------------------------------------------------
@@ -59,7 +59,7 @@ class Simulation(Bodies):
         return self._load_urdf(path, pb.URDF_USE_INERTIA_FROM_FILE | pb.URDF_USE_SELF_COLLISION)
 
     def joint_table(self, body: int) -> list[tuple[int, str, str, float, float, float, float]]:
-        """Rows (index, joint, link, lower, upper, effort, speed) of a body's joints."""
+        """Return rows (index, joint, link, lower, upper, effort, speed) of a body's joints."""
         rows = [self._client.getJointInfo(body, i) for i in range(self._client.getNumJoints(body))]
         return [(r[0], r[1].decode(), r[12].decode(), r[8], r[9], r[10], r[11]) for r in rows]
 
@@ -116,7 +116,7 @@ class Simulation(Bodies):
         self.place(body.handle, centre, (rotation * body.axes_inverse.inv()).as_quat())
 
     def reset_joints(self, body: int, joints: list[int], angles: Array) -> None:
-        """Set joint angles, at rest."""
+        """Set joint angles (n,) [rad], at rest."""
         self._client.resetJointStatesMultiDof(body, joints, [(a,) for a in angles.tolist()], [(0.0,)] * len(joints))
 
     # -- moving and reading ----------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ class Simulation(Bodies):
         )
 
     def release(self, body: int, joints: list[int]) -> None:
-        """Switch motors off."""
+        """Switch the motors of these joints off."""
         self._client.setJointMotorControlArray(
             body,
             joints,
@@ -138,47 +138,47 @@ class Simulation(Bodies):
         )
 
     def advance(self, substeps: int) -> None:
-        """Let time pass."""
+        """Let time pass, ``SUBSTEP`` seconds at a time."""
         for _ in range(substeps):
             self._step()
 
     def joint_states(self, body: int, joints: list[int]) -> tuple[Array, Array, Array]:
-        """Angles [rad], speeds [rad/s] and motor torques [N m], (n,) each."""
+        """Read angles [rad], speeds [rad/s] and motor torques [N m], (n,) each."""
         rows = self._joint_states(body, joints)
         angles, speeds, _, torques = zip(*rows, strict=True)
         table = np.array((angles, speeds, torques))
         return table[0], table[1], table[2]
 
     def link_positions(self, body: int, links: list[int]) -> Array:
-        """Positions of link frames (joint origins), (n, 3) [m]."""
+        """Read the positions of link frames (joint origins), (n, 3) [m]."""
         rows = self._link_states(body, links, computeForwardKinematics=1)
         return np.array([r[4] for r in rows])
 
     def pose(self, body: RigidBody) -> tuple[Array, Rotation]:
-        """Centre of gravity (3,) [m] and rotation of the body frame."""
+        """Read the centre of gravity (3,) [m] and rotation of the body frame."""
         position, quaternion = self._base_pose(body.handle)
         return np.array(position), Rotation.from_quat(quaternion) * body.axes_inverse
 
     def raw_pose(self, body: RigidBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Centre of gravity and quaternion of the principal axes, as Bullet keeps them."""
+        """Read the centre of gravity and quaternion of the principal axes, as Bullet keeps them."""
         pose: tuple[tuple[float, ...], tuple[float, ...]] = self._base_pose(body.handle)
         return pose
 
     def velocity(self, body: RigidBody) -> tuple[Array, Array]:
-        """Linear [m/s] and angular [rad/s] velocity, (3,) each."""
+        """Read linear [m/s] and angular [rad/s] velocity, (3,) each."""
         linear, angular = self._base_velocity(body.handle)
         return np.array(linear), np.array(angular)
 
     def touching(self, first: int, second: int) -> bool:
-        """Whether two bodies are in contact after the last substep."""
+        """Tell whether two bodies are in contact after the last substep."""
         return any(row[8] <= 0.0 or row[9] > 0.0 for row in self._contact_points(first, second))
 
     def touching_ground(self, body: int) -> bool:
-        """Whether a body is in contact with plane or mounds after the last substep."""
+        """Tell whether a body is in contact with plane or mounds after the last substep."""
         return self.touching(body, self.ground) or (self.relief is not None and self.touching(body, self.relief))
 
     def contact_forces(self, first: int, second: int) -> list[tuple[int, int, Array]]:
-        """Rows (link of first, link of second, force on first (3,) [N]) of the last substep."""
+        """Return rows (link of first, link of second, force on first (3,) [N]) of the last substep."""
         rows = []
         for row in self._contact_points(first, second):
             force = row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13])
@@ -186,15 +186,15 @@ class Simulation(Bodies):
         return rows
 
     def penetration(self, first: int, second: int) -> float:
-        """How deep two bodies overlap as they are placed now [m]; slow, for tests."""
+        """Measure how deep two bodies overlap as they are placed now [m]; slow, for tests."""
         self._client.performCollisionDetection()
         return max((-row[8] for row in self._contact_points(first, second)), default=0.0)
 
     def first_hit(self, start: Array, end: Array) -> tuple[int, Array]:
-        """The first body on a ray (-1 for none) and where it is hit (3,) [m]."""
+        """Return the first body on a ray (-1 for none) and where it is hit (3,) [m]."""
         row = self._ray(start.tolist(), end.tolist())[0]
         return int(row[0]), np.array(row[3])
 
     def ray_hits(self, start: Array, end: Array, handle: int) -> bool:
-        """Whether the first thing on a ray is this body."""
+        """Tell whether the first thing on a ray is this body."""
         return bool(self._ray(start.tolist(), end.tolist())[0][0] == handle)

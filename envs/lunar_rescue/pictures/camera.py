@@ -44,7 +44,7 @@ class Camera:
 
     @cached_property
     def view(self) -> Array:
-        """Scene to camera, (4, 4)."""
+        """Return the transformation from scene to camera, (4, 4)."""
         turn = Rotation.from_euler("zx", [-self.yaw, -90.0 - self.pitch], degrees=True).as_matrix()
         matrix = np.eye(4)
         matrix[:3, :3] = turn @ np.array(self.upright)
@@ -53,7 +53,7 @@ class Camera:
 
     @cached_property
     def projection(self) -> Array:
-        """Camera to clip coordinates, (4, 4)."""
+        """Return the transformation from camera to clip coordinates, (4, 4)."""
         f = 1.0 / np.tan(np.radians(self.field_of_view) / 2)
         near, far = self.near, self.far
         matrix = np.zeros((4, 4))
@@ -63,11 +63,11 @@ class Camera:
 
     @property
     def eye(self) -> Array:
-        """Where the camera is in the scene, (3,) [m]."""
+        """Return where the camera is in the scene, (3,) [m]."""
         return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
 
     def project(self, points: Array) -> Array:
-        """Pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
+        """Return pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
         seen = points @ self.view[:3, :3].T + self.view[:3, 3]
         depth = -seen[:, 2]
         across = self.projection[0, 0] * seen[:, 0] / depth
@@ -76,16 +76,16 @@ class Camera:
         return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
 
     def pixels_per_metre(self, depth: float) -> float:
-        """How large a metre looks at this depth [m]."""
+        """Return how large a metre looks at this depth [m]."""
         return float(self.projection[1, 1] * self.size[1] / 2 / depth)
 
     def depth_in_metres(self, depth: Floats) -> Floats:
-        """Depth along the view [m] from the renderer's [0, 1]."""
+        """Return depth along the view [m] from the renderer's [0, 1]."""
         near, far = np.float32(self.near), np.float32(self.far)
         return near * far / (far - depth * (far - near))
 
     def rays(self) -> Floats:
-        """Vectors in the scene from the camera through each pixel to depth 1, (height, width, 3)."""
+        """Return vectors in the scene from the camera through each pixel to depth 1, (height, width, 3)."""
         width, height = self.size
         x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
         y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
@@ -95,7 +95,7 @@ class Camera:
 
 
 def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
-    """The camera beside the robot, looking at robot and astronaut; ``turn`` [deg] leads it round them."""
+    """Return the camera beside the robot, looking at robot and astronaut; ``turn`` [deg] leads it round them."""
     x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
     z = float(scene.terrain.height(x, y))
     yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
@@ -108,7 +108,7 @@ def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
 
 
 def sun_camera(camera: Camera) -> Camera:
-    """The sun as a camera that sees the middle of the scene; it stands beside the camera."""
+    """Return the sun as a camera that sees the middle of the scene; it stands beside the camera."""
     opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
     return replace(
         camera,

@@ -41,7 +41,7 @@ class Link:
 
 
 def nearest_links(points: Array, marks: Array, marks_of_rock: int = 5) -> list[Link]:
-    """For each rock the joint and the mark point of it that are nearest to each other.
+    """Return for each rock the joint and the mark point of it that are nearest to each other.
 
     Args:
         points: Joints and ends of both arms (12, 3) [m].
@@ -57,7 +57,7 @@ def nearest_links(points: Array, marks: Array, marks_of_rock: int = 5) -> list[L
 
 
 def subgoals_in_scene(episode: Episode, subgoals: Array) -> Array:
-    """Sub-goals (2, 3) [m] from the robot's base frame, as policies give them, to the scene."""
+    """Take sub-goals (2, 3) [m] from the robot's base frame, in which policies give them, to the scene."""
     origin, axes = base_frame(episode)
     return np.asarray(subgoals @ axes.T + origin)
 
@@ -93,7 +93,7 @@ def draw_overlay(
 
 
 def caption(episode: Episode, note: str = "") -> list[str]:
-    """The two lines under a picture: task, step and process; distances of arm ends and to the nearest rock."""
+    """Return the two lines under a picture: task, step, process; distances to targets and the nearest rock."""
     e = episode
     first = f"{e.scene.task.replace('_', ' ')}, {e.scene.posture.replace('_', ' ')}   step {e.steps}   "
     first += note or f"process {e.process}: {PROCESSES[e.process]}"
@@ -120,7 +120,7 @@ class _Pen:
             self.draw.line([tuple(p) for p in seen[:, :2].tolist()], (*colour, opacity), self.width)
 
     def disc(self, place: Array, radius: float, colour: Colour, fill: int) -> None:
-        """A ball of some radius [m] as a ring, filled with some opacity."""
+        """Draw a ball of some radius [m] as a ring, filled with some opacity."""
         for x, y, depth in self._at(place).tolist():
             r = max(radius * self.camera.pixels_per_metre(depth), 2.0 * self.width)
             self.draw.ellipse((x - r, y - r, x + r, y + r), (*colour, fill), (*colour, 255), self.width)
@@ -162,7 +162,7 @@ def _draw_rocks(pen: _Pen, episode: Episode) -> None:
 
 
 def near_colour(distance: float) -> Colour:
-    """Colour of a distance to a mark point [m]."""
+    """Return the colour of a distance to a mark point [m]."""
     red, green, blue = (int(np.interp(distance, NEAR_STOPS, channel)) for channel in zip(*NEAR_COLOURS, strict=True))
     return red, green, blue
 

@@ -18,7 +18,7 @@ RELIEF = 0.35  # of the slopes; more would look like rocks that nothing collides
 
 @lru_cache(maxsize=1)
 def tile() -> tuple[Array, Array]:
-    """Brightness (CELLS, CELLS), mean 1, and slopes along x and y (CELLS, CELLS, 2) of the tile."""
+    """Return brightness (CELLS, CELLS), mean 1, and slopes along x and y (CELLS, CELLS, 2) of the tile."""
     rng = np.random.default_rng(1969)
     fx, fy = np.meshgrid(*[np.fft.fftfreq(CELLS, 1 / CELLS)] * 2)
     frequency = np.hypot(fx, fy).clip(1.0)
@@ -31,12 +31,12 @@ def tile() -> tuple[Array, Array]:
 
 
 def _unit(field: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scaled to mean 0 and spread 1."""
+    """Scale a field to mean 0 and spread 1."""
     return (field - field.mean()) / field.std()
 
 
 def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Heights [m] of small bowls with rims."""
+    """Return heights [m] of small bowls with rims."""
     line = np.arange(CELLS) * TILE / CELLS
     height = np.zeros((CELLS, CELLS))
     for x, y, u in rng.uniform(size=(CRATERS, 3)):
@@ -48,7 +48,7 @@ def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def surface(x: Array, y: Array, away: Array) -> tuple[Array, Array]:
-    """Brightness (n,) and slopes (n, 2) of the ground at places x, y (n,) [m], fading where the camera is far.
+    """Return brightness (n,) and slopes (n, 2) of the ground at places x, y, fading where the camera is far.
 
     Args:
         x: Place [m].

@@ -33,7 +33,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 def ground_mesh(scene: Scene, camera: Camera) -> shapes.Mesh:
-    """The ground as it is drawn for this camera."""
+    """Return the ground as it is drawn for this camera."""
     return shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
 
 
@@ -64,7 +64,7 @@ class Studio:
         self._ground: _Ground | None = None
 
     def close(self) -> None:
-        """Free the stage."""
+        """Free both stages and their files."""
         self._set.close()
         self._bare.close()
 
@@ -119,7 +119,7 @@ class Studio:
         )
 
     def _light(self, ground: _Ground) -> Floats:
-        """Share of the sun that reaches the ground in each cell of the shadow map; keeps the map of the bodies."""
+        """Return the share of sun on the ground in each cell of the shadow map; keep the map of the bodies."""
         _, depth, bodies = _look(self._set.stage, ground.sun, ground.sun)
         self._map = np.where(bodies >= 0, ground.sun.depth_in_metres(depth), np.float32(1e3))
         lit = (self._map > ground.depth - 0.01).astype(np.float32)
@@ -150,7 +150,7 @@ class Studio:
         image[box][mask] = colour * (SUNLIGHT * lit + rest)[:, None]
 
     def _lit(self, sun: Camera, points: Floats) -> Floats:
-        """Share of the sun that reaches points on bodies (n, 3), soft over a few cells of the shadow map, (n,)."""
+        """Return the share of sun on points of bodies (n, 3), soft over a few cells of the shadow map, (n,)."""
         cell, away = _cells(sun, points)
         flat = self._map.ravel()
         taps = [cell + dx + dy * SUN_CELLS for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
@@ -164,12 +164,12 @@ def _look(stage: Stage, camera: Camera, sun: Camera) -> tuple[Floats, Floats, ND
 
 
 def _towards(camera: Camera) -> Array:
-    """From what a camera looks at to the camera, unit vector (3,)."""
+    """Return the direction from what a camera looks at to the camera, unit vector (3,)."""
     return np.asarray(camera.view[2, :3])
 
 
 def _cells(sun: Camera, points: NDArray[Any]) -> tuple[NDArray[np.int32], Floats]:
-    """Flat index of the shadow map's cell (n,), its border beyond the map, and distance from the sun (n,) [m]."""
+    """Return the shadow map's cell (n,), its border beyond the map, and the distance from the sun (n,) [m]."""
     half = np.float32(SUN_CELLS / 2)
     rows = (sun.projection @ sun.view)[[0, 1, 3]].astype(np.float32)
     across, up, away = rows[:, :3] @ np.asarray(points, np.float32).T + rows[:, 3:]
@@ -179,7 +179,7 @@ def _cells(sun: Camera, points: NDArray[Any]) -> tuple[NDArray[np.int32], Floats
 
 
 def _normals(points: Floats) -> Floats:
-    """Normals of a surface seen from a camera, (h, w, 3), from its points (h, w, 3); rough at outlines."""
+    """Return normals of a surface seen from a camera, (h, w, 3), from its points (h, w, 3); rough at outlines."""
     right, down = np.zeros_like(points), np.zeros_like(points)
     right[:, 1:-1], down[1:-1] = points[:, 2:] - points[:, :-2], points[2:] - points[:-2]
     (ax, ay, az), (bx, by, bz) = np.moveaxis(down, -1, 0), np.moveaxis(right, -1, 0)
@@ -188,7 +188,7 @@ def _normals(points: Floats) -> Floats:
 
 
 def _slopes(scene: Scene, places: NDArray[Any], middle: tuple[float, ...], step: float = 0.02) -> NDArray[Any]:
-    """Slopes of the scene's ground along x and y at places (n, 2), none far away, (n, 2)."""
+    """Return slopes of the scene's ground along x and y at places (n, 2), none far away, (n, 2)."""
     x, y = places.T.astype(np.float64)
     near = (np.hypot(x - middle[0], y - middle[1]) < 2.5)[:, None]
     x, y = np.where(near[:, 0], x, middle[0]), np.where(near[:, 0], y, middle[1])

@@ -33,13 +33,13 @@ class Mesh:
 
 
 def _lattice(rows: int, columns: int) -> NDArray[np.int64]:
-    """Triangles of a lattice of points, ((rows - 1) * (columns - 1) * 2, 3)."""
+    """Return the triangles of a lattice of points, ((rows - 1) * (columns - 1) * 2, 3)."""
     i = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     return np.concatenate([np.stack([i, i + 1, i + columns + 1], -1), np.stack([i, i + columns + 1, i + columns], -1)])
 
 
 def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: float = 0.0) -> Mesh:
-    """A superellipsoid of these half extents [m], stretched along z by ``stretch`` [m] (a capsule)."""
+    """Return a superellipsoid of these half extents [m], stretched along z by ``stretch`` [m] (a capsule)."""
     around, up = np.meshgrid(np.linspace(-np.pi, np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 14))
 
     def surface(power: float) -> Array:
@@ -56,7 +56,7 @@ def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: flo
 
 
 def hull(corners: Array) -> Mesh:
-    """The convex hull of some points (M, 3) [m] with flat faces."""
+    """Return the convex hull of some points (M, 3) [m] with flat faces."""
     solid = ConvexHull(corners)
     vertices = corners[solid.simplices]
     outwards = solid.equations[:, :3]
@@ -68,7 +68,7 @@ def hull(corners: Array) -> Mesh:
 def ground(
     height: Callable[[Array, Array], Array], up: Array, centre: Array, half: float = 2.5, far: float = 45.0
 ) -> Mesh:
-    """The ground: fine within ``half`` of ``centre`` (2,) [m], coarser out to ``far``, where hills close the view.
+    """Return the ground: fine within ``half`` of ``centre``, coarser out to ``far``, where hills close the view.
 
     Args:
         height: Heights [m] at places x, y [m].
@@ -100,7 +100,7 @@ def ground(
 
 # -- suit ------------------------------------------------------------------------------------------------------------
 def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
-    """The suit in the body frame, what has one colour in one mesh; its outlines are those of the colliding parts."""
+    """Return the suit in the body frame, a mesh for each colour; its outlines are those of the colliding parts."""
     shapes: dict[Colour, list[Mesh]] = {}
     for part in suit_parts(limbs):
         own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
@@ -125,7 +125,7 @@ def _mesh(part: Part) -> Mesh:
 
 
 def _details(part: Part) -> list[tuple[Mesh, Colour]]:
-    """Visor, gloves and the coloured bands of a suit, a hair's breadth outside the part that they sit on."""
+    """Return visor, gloves or coloured bands, a hair's breadth outside the part that they sit on."""
     if part.name == "helmet":
         radius = part.size[0]
         return [(_moved(rounded((0.75 * radius, 0.8 * radius, 0.66 * radius)), (0.36 * radius, 0.0, 0.0)), VISOR)]

@@ -36,7 +36,7 @@ class VisualShape:
 
 
 class Stage(Client):
-    """A world of things to be seen."""
+    """A world of bodies that pictures are taken of; nothing in it moves by itself."""
 
     def add_mesh(self, *pieces: tuple[Array, Array, NDArray[np.int64], tuple[float, ...]]) -> int:
         """Add one body of triangles; each piece has corners (V, 3) [m], normals (V, 3), indices (F, 3) and a colour.
@@ -81,14 +81,14 @@ class Stage(Client):
         return handle, {row[1].decode(): row[0] for row in rows}, colours
 
     def visual_shapes(self, handle: int) -> list[VisualShape]:
-        """What of a body is seen."""
+        """Return every shape of a body that is seen."""
         return [
             VisualShape(int(row[1]), _SHAPES[row[2]], tuple(row[3]), tuple(row[5]), tuple(row[6]), tuple(row[7][:3]))
             for row in self._client.getVisualShapeData(handle)
         ]
 
     def link_poses(self, handle: int) -> dict[int, tuple[Array, Array]]:
-        """Place (3,) [m] and quaternion (4,), x y z w, of each link's frame; -1 is the base."""
+        """Return place (3,) [m] and quaternion (4,), x y z w, of each link's frame; -1 is the base."""
         links = range(self._client.getNumJoints(handle))
         poses = {-1: self._client.getBasePositionAndOrientation(handle)}
         states = self._client.getLinkStates(handle, list(links), computeForwardKinematics=True)
@@ -104,17 +104,17 @@ class Stage(Client):
         self._client.resetSimulation()
 
     def place(self, handle: int, position: Array, quaternion: Array) -> None:
-        """Put a body somewhere."""
+        """Put a body at a position (3,) [m] with a quaternion x, y, z, w."""
         self._client.resetBasePositionAndOrientation(handle, position.tolist(), quaternion.tolist())
 
     def turn_joints(self, handle: int, joints: list[int], angles: Array) -> None:
-        """Set joint angles [rad]."""
+        """Set the angles of these joints (n,) [rad]."""
         self._client.resetJointStatesMultiDof(handle, joints, [(a,) for a in angles.tolist()], [(0.0,)] * len(joints))
 
     def look(
         self, view: Array, projection: Array, size: tuple[int, int], sun: Array
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """What a camera sees by the software renderer, all (height, width).
+        """Return what a camera sees by the software renderer, all (height, width).
 
         Args:
             view: World to camera (4, 4).

@@ -28,7 +28,7 @@ GAMMA = 2.2  # from brightness to what screens expect
 
 
 def base_frame(episode: Episode) -> tuple[Array, Array]:
-    """Origin (3,) [m] and axes (3, 3), in columns, of the robot's base in the scene."""
+    """Return origin (3,) [m] and axes (3, 3), in columns, of the robot's base in the scene."""
     origin = episode.observer.to_base(np.zeros((1, 3)))
     axes = (episode.observer.to_base(np.eye(3)) - origin).T
     return -axes.T @ origin[0], axes.T
@@ -38,7 +38,7 @@ class StageSet:
     """The bodies of a scene on a stage, moved as the episode goes."""
 
     def __init__(self, stage: Stage) -> None:
-        """Keep the stage, on which nothing stands yet."""
+        """Prepare the robot's file for a stage on which nothing stands yet."""
         self.stage = stage
         self._scene: Scene | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
@@ -48,7 +48,7 @@ class StageSet:
         robot.write(self._robot_file)
 
     def close(self) -> None:
-        """Free stage and files."""
+        """Disconnect the stage and remove its files."""
         self.stage.close()
         self._folder.cleanup()
 
@@ -78,7 +78,7 @@ class StageSet:
 
     @property
     def robot(self) -> int:
-        """The robot's handle on the stage."""
+        """Return the robot's handle on the stage."""
         return self._robot
 
     def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
@@ -104,7 +104,7 @@ class StageSet:
 
 
 def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
-    """Place (3,) [m] and quaternion (4,), x y z w, of the suit's meshes; ``turn`` turns all about the origin (3, 3)."""
+    """Return place (3,) [m] and quaternion, x, y, z, w, of the suit; ``turn`` (3, 3) turns all about the origin."""
     turn = np.eye(3) if turn is None else turn
     rotation = turn @ episode.body.rotation
     centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre

@@ -36,7 +36,8 @@ def checked(cls: type[T]) -> type[T]:
             raise ValueError(_explain(error, f"{cls.__name__}.")) from None
 
     record.__init__ = init
-    return record  # type: ignore[no-any-return]
+    checked_class: type[T] = record
+    return checked_class
 
 
 def from_json(cls: type[T], text: str | bytes, where: str) -> T:
@@ -51,13 +52,14 @@ def from_json(cls: type[T], text: str | bytes, where: str) -> T:
         ValueError: In one line: where, field, what was expected and what came.
     """
     try:
-        return _adapter(cls).validate_json(text)
+        record: T = _adapter(cls).validate_json(text)
+        return record
     except ValidationError as error:
         raise ValueError(_explain(error, where)) from None
 
 
-@functools.lru_cache(maxsize=16)
-def _adapter(cls: type[T]) -> TypeAdapter[T]:
+@functools.cache
+def _adapter(cls: Any) -> TypeAdapter[Any]:
     return TypeAdapter(cls)
 
 

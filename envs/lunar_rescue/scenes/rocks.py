@@ -99,7 +99,7 @@ def rock_marks(rocks: Sequence[Rock]) -> Array:
 
 @lru_cache(maxsize=1024)
 def _top(shape: int) -> tuple[float, float, float]:
-    """Highest corner of a bumpy unit rock."""
+    """Return the highest corner of a bumpy unit rock."""
     corners = _bumpy(shape)
     x, y, z = corners[np.argmax(corners[:, 2])].tolist()
     return x, y, z
@@ -119,7 +119,7 @@ _ICOSAHEDRON = _icosahedron()
 
 @lru_cache(maxsize=1024)
 def _bumpy(shape: int) -> Array:
-    """Corners of a bumpy unit rock, (12, 3)."""
+    """Return the corners of a bumpy unit rock, (12, 3)."""
     bumps = np.random.default_rng(shape).uniform(0.85, 1.1, (len(_ICOSAHEDRON), 1))
     return _ICOSAHEDRON * bumps
 

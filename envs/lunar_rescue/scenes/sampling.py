@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from random import Random
 
@@ -18,6 +19,9 @@ from lunar_rescue.scenes.targets import approach_sides, target_areas
 from lunar_rescue.scenes.terrain import Terrain, draw_terrain
 
 Array = NDArray[np.float64]
+Pose = tuple[float, float, float]  # x, y [m], yaw [rad]
+Rocks = tuple[Rock, ...]
+Fits = Callable[[Rock], bool]
 
 _EDGES = (MASS_RANGE[0], *(edge for interval in HELDOUT_MASSES for edge in interval), MASS_RANGE[1])
 MASS_PIECES = {False: tuple(itertools.pairwise(_EDGES))[::2], True: HELDOUT_MASSES}  # by whether held out
@@ -59,7 +63,8 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
     base = _draw_base(rng, model, drawn_task, side, pose)
     mass, friction = _draw_mass(rng, heldout), rng.uniform(*FRICTION_RANGE)
     terrain = draw_terrain(rng, pose, side if len(sides) == 1 else 0, heldout)
-    rocks = _draw_rocks(rng, model, drawn_task, side, pose, base, terrain, draw_field(rng, heldout))
+    fits = _room_for_rocks(model, drawn_task, side, pose, base)
+    rocks = _draw_rocks(draw_field(rng, heldout), pose[:2], terrain, rng, fits)
     return Scene(int(seed), drawn_task, model.name, *pose, mass, friction, *base, rocks=rocks, terrain=terrain)
 
 
@@ -87,9 +92,7 @@ def _draw_task(rng: Random, posture: str | None, task: str | None, drawn: dict[s
     return model, task or rng.choice(model.tasks)
 
 
-def _draw_base(
-    rng: Random, model: Posture, task: str, side: int, pose: tuple[float, float, float]
-) -> tuple[float, float, float]:
+def _draw_base(rng: Random, model: Posture, task: str, side: int, pose: Pose) -> Pose:
     """Draw the base pose x, y [m], yaw [rad]: facing the middle of the two targets, with errors."""
     x, y, yaw = pose
     areas = target_areas(model, side, task)
@@ -102,19 +105,25 @@ def _draw_base(
     return x + c * along - s * away, y + s * along + c * away, facing
 
 
-def _draw_rocks(
-    rng: Random,
-    model: Posture,
-    task: str,
-    side: int,
-    pose: tuple[float, float, float],
-    base: tuple[float, float, float],
-    terrain: Terrain,
-    field: RockField,
-) -> tuple[Rock, ...]:
-    """Draw rocks around the body, never in it, in the base or right in a target area.
+def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain, rng: Random, fits: Fits) -> Rocks:
+    """Draw the rocks of a field around a point, as many as find room, and put them on the ground."""
+    rocks: list[Rock] = []
+    for rock in draw_rocks(rng, centre, field):
+        if len(rocks) == field.count:
+            break
+        if fits(rock):
+            rocks.append(rock)
+    if not terrain.rough or not rocks:
+        return tuple(rocks)
+    ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
+    return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
 
-    All is checked in the body's frame, where body and targets are the same in each scene of a posture.
+
+def _room_for_rocks(model: Posture, task: str, side: int, pose: Pose, base: Pose) -> Fits:
+    """Return what tells whether one more rock finds room: not in the body, the base, a target area or a way in.
+
+    All is checked in the body's frame, where body and targets are the same in each scene of a posture. Rocks that fit
+    are remembered, and the next ones keep off them.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
 
@@ -122,31 +131,26 @@ def _draw_rocks(
         dx, dy = x - pose[0], y - pose[1]
         return c * dx + s * dy, c * dy - s * dx
 
-    body = footprint(model)
-    targets = target_areas(model, side, task).offsets[:, :2].tolist()
-    stand = to_body(base[0], base[1])
-    facing = base[2] - pose[2]
+    body, targets = footprint(model), target_areas(model, side, task).offsets[:, :2].tolist()
+    stand, facing = to_body(base[0], base[1]), base[2] - pose[2]
     forward = math.cos(facing), math.sin(facing)
     placed: list[tuple[float, float, float]] = []
-    rocks: list[Rock] = []
-    for rock in draw_rocks(rng, pose[:2], field):
-        if len(rocks) == field.count:
-            break
+
+    def fits(rock: Rock) -> bool:
         x, y = to_body(rock.x, rock.y)
         radius = BUMPS * rock.diameter
-        if (
+        fit = (
             math.hypot(x - stand[0], y - stand[1]) > radius + STAND_FREE
             and all(math.hypot(x - o[0], y - o[1]) > 0.5 * (rock.diameter + o[2]) for o in placed)
             and all(math.hypot(x - t[0], y - t[1]) > radius + TARGET_FREE for t in targets)
             and not any(_blocks_way_in(x - t[0], y - t[1], radius, forward) for t in targets)
             and _least_distance(body, x, y) > radius + BODY_FREE
-        ):
+        )
+        if fit:
             placed.append((x, y, rock.diameter))
-            rocks.append(rock)
-    if not terrain.rough or not rocks:
-        return tuple(rocks)
-    ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
-    return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
+        return fit
+
+    return fits
 
 
 def _blocks_way_in(dx: float, dy: float, radius: float, forward: tuple[float, float]) -> bool:

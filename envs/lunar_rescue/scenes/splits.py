@@ -15,5 +15,5 @@ SPLITS: dict[str, range] = {"test": TEST, "validation": VALIDATION, "heldout": H
 
 
 def split_of(seed: int) -> str:
-    """Name of the split that a scene's seed belongs to; seeds past the last range count as training."""
+    """Return the name of the split that a scene's seed belongs to; seeds past the last range count as training."""
     return next((name for name, seeds in SPLITS.items() if seed in seeds), "train")

@@ -97,7 +97,7 @@ def _quad(rotation: Rotation) -> tuple[float, float, float, float]:
 
 
 def _swing(flexion: float, abduction: float, side: int) -> Rotation:
-    """Rotation of a hanging limb: flexion to the front, then abduction away from the middle."""
+    """Return the rotation of a hanging limb: flexion to the front, then abduction away from the middle."""
     return Rotation.from_euler("x", side * abduction, degrees=True) * Rotation.from_euler("y", -flexion, degrees=True)
 
 
@@ -179,7 +179,7 @@ def _ends(part: Part) -> tuple[Array, Array]:
 
 
 def _unit_inertia(part: Part) -> Array:
-    """Principal inertia of a part per unit mass about its own centre, (3,) [m^2]; a capsule as its cylinder."""
+    """Return a part's principal inertia per unit mass about its centre, (3,) [m^2]; a capsule as its cylinder."""
     if part.kind == "box":
         x, y, z = part.size
         return np.array([y * y + z * z, x * x + z * z, x * x + y * y]) / 3

@@ -21,6 +21,11 @@ NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; 
 PREFERRED = 0.42  # m, a span of 0.84 m suits shoulders 0.72 m apart
 BEFORE_EDGE = 0.16  # m, the way in begins this far before the body: a plate's tip (0.12 m) and a little room
 COVER = 0.06  # m, the body must reach this near to straight above a target
+TIP_BEYOND = 0.10  # m, the plate's tip reaches this far beyond the target
+OPEN_HEIGHT = 0.3  # m, free height where nothing of the body lies above a strip
+HIGH_ENOUGH = 0.14  # m, more free height than this makes a strip no better
+SPAN_COST, WAY_COST = 0.12, 0.25  # score per metre from the preferred span, and per metre of way under the body
+STRIP = 0.02  # m, between the places that are tried
 HIGHEST = 0.05  # m, a target lies no higher above the ground than this
 
 #: How far short of the body's long axis the target lies. Lifting wants the plates under the centre; turning over wants
@@ -40,7 +45,7 @@ class TargetAreas:
 
 @lru_cache(maxsize=64)
 def approach_sides(posture: Posture) -> tuple[int, ...]:
-    """Sides from which the robot comes: +1 is +y with the head along +x.
+    """Return the sides from which the robot comes: +1 is +y with the head along +x.
 
     Lying on a side, the robot comes from the front: it turns the astronaut away from itself, onto the back.
     """
@@ -59,7 +64,7 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
     rows = []
     for direction in (1, -1):
         candidates = [
-            _candidate(direction * s, along, towards, height, depth) for s in np.arange(NEAREST, FURTHEST, 0.02)
+            _candidate(direction * s, along, towards, height, depth) for s in np.arange(NEAREST, FURTHEST, STRIP)
         ]
         rows.append(max(candidates)[1:])
     place, clearance, edge = np.array(rows).T
@@ -69,12 +74,12 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
 
 
 def _candidate(s: float, along: Array, towards: Array, height: Array, depth: float) -> tuple[float, ...]:
-    """Score, place, clearance and near edge of one strip: free height first, then a short way in, a handy span."""
-    strip = (np.abs(along - s) < PLATE_HALF_WIDTH) & (towards > depth - 0.10)
-    clearance = float(height[strip].min()) if strip.any() else 0.3
+    """Return score, place, clearance and near edge of one strip: free height first, a short way in, a handy span."""
+    strip = (np.abs(along - s) < PLATE_HALF_WIDTH) & (towards > depth - TIP_BEYOND)
+    clearance = float(height[strip].min()) if strip.any() else OPEN_HEIGHT
     edge = float(towards[strip].max()) if strip.any() else depth
     above = (np.abs(along - s) < COVER) & (np.abs(towards - depth) < COVER)
     if not above.any():
         return -1.0, s, clearance, edge  # a gap, between the legs say, is not under the body
-    score = min(clearance, 0.14) - 0.12 * abs(abs(s) - PREFERRED) - 0.25 * edge
+    score = min(clearance, HIGH_ENOUGH) - SPAN_COST * abs(abs(s) - PREFERRED) - WAY_COST * edge
     return score, s, clearance, edge

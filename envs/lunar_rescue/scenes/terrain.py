@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from pydantic import Field
 from lunar_rescue.scenes.records import checked, within
 
 Array = NDArray[np.float64]
-Patch = Literal["lying", "on_side"]
 
 KINDS = ("smooth", "rough")
 MAX_SLOPE = 10.0  # deg
@@ -34,7 +33,7 @@ RELIEF_HALF = (1.9, 1.6)  # m, half sides of the ground on which mounds lie, alo
 #: The patch without mounds, which the body pressed flat as it fell: to head and feet, and to the front's and the back's
 #: side; who lies on a side has arms and knees before them [m].
 FLAT_ALONG = 1.2
-FLAT_ACROSS: dict[Patch, tuple[float, float]] = {"lying": (0.43, 0.43), "on_side": (0.60, 0.32)}
+FLAT_ACROSS: dict[str, tuple[float, float]] = {"lying": (0.43, 0.43), "on_side": (0.60, 0.32)}
 MOUNDS = 16  # a relief; as many as PyBullet takes into one body
 MOUND_RADIUS = (0.25, 0.60)  # m; assumption: decimetre hummocks, the scale on which arms and body meet the ground
 MOUND_STEEPNESS = (0.05, 0.18)  # height over radius; flanks of up to twice that, about 20 deg
@@ -66,17 +65,20 @@ class Mound:
 class Terrain:
     """The ground of one scene."""
 
-    kind: Literal["smooth", "rough"] = "smooth"  # ``"smooth"`` (level, no relief) or ``"rough"``
+    kind: str = "smooth"  # ``"smooth"`` (level, no relief) or ``"rough"``
     slope: Annotated[float, within((0.0, MAX_SLOPE))] = 0.0  # between the ground's normal and the vertical [deg]
     downhill: Place = 0.0  # heading of the steepest descent in the scene's frame [rad]
     relief: Annotated[int, Field(ge=0)] = 0  # seed of the mounds, see ``mounds``
-    patch: Patch = "lying"  # key of ``FLAT_ACROSS``, the patch's shape
+    patch: str = "lying"  # key of ``FLAT_ACROSS``, the patch's shape
     x: Place = 0.0  # origin of the relief, where the body lies [m]
     y: Place = 0.0  # origin of the relief [m]
     yaw: Place = 0.0  # heading of the relief, along the body: its +y is the front's side of who lies on a side [rad]
 
     def __post_init__(self) -> None:
-        """Refuse smooth ground with a slope."""
+        """Refuse an unknown kind or patch, and smooth ground that is not level."""
+        for name, value, known in (("kind", self.kind, KINDS), ("patch", self.patch, tuple(FLAT_ACROSS))):
+            if value not in known:
+                raise ValueError(f"Scene.terrain.{name}: expected one of {known}, got {value!r}")
         if self.kind == "smooth" and self.slope != 0.0:
             raise ValueError(f"Scene.terrain.slope: smooth ground is level, got {self.slope!r}")
 
@@ -111,7 +113,7 @@ SMOOTH = Terrain()
 
 
 @lru_cache(maxsize=64)
-def mounds(relief: int, patch: Patch) -> tuple[Mound, ...]:
+def mounds(relief: int, patch: str) -> tuple[Mound, ...]:
     """Return the mounds of a relief, a pure function of seed and patch; none reaches into the flat patch."""
     rng = np.random.default_rng([relief, RELIEF_STREAM])
     front, back = FLAT_ACROSS[patch]
@@ -132,7 +134,7 @@ def mounds(relief: int, patch: Patch) -> tuple[Mound, ...]:
 
 
 @lru_cache(maxsize=64)
-def _arrays(relief: int, patch: Patch) -> tuple[Array, Array, Array, Array]:
+def _arrays(relief: int, patch: str) -> tuple[Array, Array, Array, Array]:
     field = mounds(relief, patch)
     centres = np.array([[m.x, m.y] for m in field])
     turns = np.array([[math.cos(m.yaw), math.sin(m.yaw)] for m in field])
@@ -154,5 +156,5 @@ def draw_terrain(rng: Random, pose: tuple[float, float, float], front: int, held
     slope, downhill = rng.uniform(0.0, MAX_SLOPE), rng.uniform(0.0, 2 * math.pi)
     relief = rng.choice(HELDOUT_RELIEFS if heldout else RELIEFS)
     turned = front < 0 or (front == 0 and rng.random() < 0.5)
-    patch: Patch = "on_side" if front else "lying"
+    patch = "on_side" if front else "lying"
     return Terrain("rough", slope, downhill, relief, patch, pose[0], pose[1], pose[2] + math.pi * turned)
