@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -13,7 +15,9 @@ import pytest
 from gymnasium import spaces
 
 from reproduce.bench import speed as bench
+from reproduce.bench import training
 from reproduce.bench.speed import PEER, Tally, environment_figures, measure
+from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
 
 
@@ -66,8 +70,34 @@ def test_parts_run_alone_or_together(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "PARTS", parts)
     assert {"env", "training"} <= set(measure("all", 2, 3))
     assert "training" not in measure("env", 2, 3) and measure("training", 2, 3)["training"] == 6
-    with pytest.raises(UserError, match=r"--part.*env, training, profile, methods, ground, all.*physics"):
+    with pytest.raises(UserError, match=r"--part.*env, training, tests, all.*physics"):
         measure("physics")
+
+
+def test_the_training_part_measures_ours_beside_stock_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    smoke = PRESETS["smoke"]
+    low = replace(smoke.low, n_steps=24, batch_size=32, n_epochs=1)
+    small = replace(smoke, steps=10_000, n_envs=2, low=low, high=replace(smoke.high, n_epochs=1))
+    monkeypatch.setitem(training.PRESETS, "laptop", small)
+    monkeypatch.setattr(training, "ROUNDS", 1)
+    monkeypatch.setattr(training, "BATCHES", (24, training.BATCH))
+    measured = training.measure_training(1, 1)
+    assert set(measured) == {
+        "training_steps_per_s", "stock_training_steps_per_s", "training_ratio",
+        "learner_ratio", "learner_ratio_24", f"learner_ratio_{training.BATCH}",
+    }  # fmt: skip
+    assert all(value > 0 for value in measured.values())
+
+
+def test_tests_are_timed_where_there_is_a_reference_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def evaluate(run: str, tests: int) -> dict[str, float]:
+        assert run.endswith("hrl_dcs/seed0")
+        return {"seconds": tests / 10}
+
+    monkeypatch.setattr(bench, "evaluate", evaluate)
+    assert bench.measure_tests(1, 1) == {"tests_1000_s": 100.0}
+    monkeypatch.setattr(bench, "COMMITTED", tmp_path)
+    assert bench.measure_tests(1, 1) == {}
 
 
 class _Small(gymnasium.Env[Any, Any]):
@@ -89,16 +119,16 @@ class _Small(gymnasium.Env[Any, Any]):
 @pytest.mark.parametrize(("longest", "steps"), [(20, 20), (50, 30)])
 def test_the_peer_s_episodes_end_as_it_says_or_at_its_limit(longest: int, steps: int) -> None:
     counted = Tally()
-    peer = bench._Peer(_Small(), longest)
-    peer.next_episode(counted)
-    peer.next_episode(counted)
+    peer = bench.bare_episodes(_Small(), longest)
+    peer.next(lambda info: counted)
+    peer.next(lambda info: counted)
     assert counted.steps == 2 * steps and counted.resets == 2
     assert counted.stepping > 0 and counted.resetting > 0
 
 
 def test_the_peer_keeps_up_with_our_steps() -> None:
     with ExitStack() as stack:
-        tallies = bench._round(bench._Ours(stack), bench._Peer(_Small(), 50), {"smooth"}, 150)
+        tallies = bench.run_round(bench.our_episodes(stack), bench.bare_episodes(_Small(), 50), {"smooth"}, 150)
     assert tallies["smooth"].steps >= 150
     assert 0 <= tallies[PEER].steps - tallies["smooth"].steps < 30
 
@@ -106,8 +136,8 @@ def test_the_peer_keeps_up_with_our_steps() -> None:
 def test_panda_gym_is_used_where_it_is_installed() -> None:
     pytest.importorskip("panda_gym")
     with ExitStack() as stack:
-        peer = bench._peer(stack)
+        peer = bench.peer_episodes(stack)
         assert peer is not None
         counted = Tally()
-        peer.next_episode(counted)
+        peer.next(lambda info: counted)
     assert 0 < counted.steps <= 50

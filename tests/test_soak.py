@@ -1,73 +1,125 @@
-"""The soak run: what it sees in a short form, and that each of its checks can fail."""
+"""Random actions over all scenes: nothing raises, every number stays finite, memory stands still.
+
+``results/soak.json`` is such a run of a million steps by an earlier command of this project.
+"""
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable
-from itertools import islice
-from pathlib import Path
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from itertools import count, islice
+from statistics import median
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
+from numpy.typing import NDArray
 
-from lunar_rescue import LunarRescueEnv
-from lunar_rescue.observation import BOUND, SIZE
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.observation import BOUND, SIZE, as_dict
+from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import task_distribution
 from lunar_rescue.scenes.splits import TRAIN
-from reproduce.experiments.soak import (
-    FIRST_SEED,
-    SETTLED,
-    Record,
-    judge,
-    memory_growth,
-    observation_fault,
-    random_actions,
-    run_share,
-    run_soak,
-    scenes_of,
-    soak,
-    summary,
-)
-from reproduce.storage.errors import RunFailedError, UserError
+from lunar_rescue.scenes.terrain import KINDS
 
-MEBIBYTE = 2**20
+FIRST_SEED = 3_000_000  # of the scenes; the training split, where nothing is tested
+STEPS = 150_000  # of the long run
+LONGEST_HOLD = 40  # steps for which an action may be held
+LARGEST_GROWTH = 0.01  # of memory over the last half of the long run
 
 
-def series(last_half: float, steps: int = SETTLED) -> Record:
-    """A process whose memory fills at first, then grows by a share over the last half."""
-    record = Record(steps=steps)
-    for number in range(1, 201):
-        size = min(100.0, 50 + number) + 100 * last_half * max(0.0, number / 200 - 0.5) / 0.5
-        record.samples.append((steps * number // 200, number, int(size * MEBIBYTE)))
-    return record
+def observation_fault(vector: Any) -> str:
+    """Return what is wrong with a flat observation, or nothing."""
+    if not isinstance(vector, np.ndarray) or vector.shape != (SIZE,) or vector.dtype != np.float32:
+        return f"observation: expected float32 ({SIZE},), got {type(vector).__name__}"
+    if not np.isfinite(vector).all():
+        return f"observation: not finite at {np.flatnonzero(~np.isfinite(vector)).tolist()[:5]}"
+    if np.abs(vector).max() > BOUND:
+        return f"observation: beyond {BOUND:g} at {np.flatnonzero(np.abs(vector) > BOUND).tolist()[:5]}"
+    return ""
 
 
-def test_a_short_run_passes_and_says_what_it_met(tmp_path: Path) -> None:
-    target = tmp_path / "soak.json"
-    run_soak(3000, target, quiet=True)
-    result = json.loads(target.read_text())
-    assert result["passed"] and not result["faults"] and not result["memory_judged"]
-    assert result["steps"] == 3000 == sum(p["steps"] for p in result["processes"])
-    assert result["episodes"] == sum(result["ends"].values()) > 10
-    assert result["postures"] > 10 and result["tasks"] == ["lift", "turn_over"]
-    assert all(30 <= len(p["samples"]) <= 50 for p in result["processes"])
-    assert result["steps_per_s"] > 0 and "commit" in result["origin"]
+def step_fault(env: LunarRescueEnv, vector: Any, reward: float) -> str:
+    """Return what is wrong with reward, observation or the state of body or robot, or nothing."""
+    if not math.isfinite(reward):
+        return f"reward: {reward!r}"
+    for name, state in (("body", env.episode.body), ("robot", env.episode.robot)):
+        for part in fields(state):
+            if not np.isfinite(getattr(state, part.name)).all():
+                return f"{name} {part.name}: not finite"
+    return observation_fault(vector)
 
 
-def test_every_process_meets_all_postures_and_tasks_and_no_seed_twice() -> None:
+def memory_growth(samples: Sequence[int]) -> float:
+    """Return the median of the last tenth of the samples over that of those from 50 to 60 %, minus 1."""
+    n = len(samples)
+    return median(samples[n * 9 // 10 :]) / median(samples[n // 2 : n * 6 // 10]) - 1.0 if n >= 10 else 0.0
+
+
+def random_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float64]]:
+    """Yield actions held for a while, so that the arms get somewhere; one stretch in four is noise."""
+    while True:
+        stretch, noise = int(rng.integers(1, LONGEST_HOLD + 1)), rng.random() < 0.25
+        action = rng.uniform(-1, 1, JOINTS)
+        for _ in range(stretch):
+            yield action
+            if noise:
+                action = rng.uniform(-1, 1, JOINTS)
+
+
+def all_scenes() -> Iterator[Scene]:
+    """Yield scenes of all postures and tasks in turn."""
     pairs = task_distribution()
-    seeds: list[int] = []
-    for index in range(2):
-        scenes = list(islice(scenes_of(index, 2), len(pairs)))
-        assert {(s.posture, s.task) for s in scenes} == set(pairs)
-        seeds += [s.seed for s in scenes]
+    for turn in count():
+        posture, task = pairs[turn % len(pairs)]
+        yield sample_scene(FIRST_SEED + turn, posture=posture, task=task)
+
+
+def soak(env: LunarRescueEnv, steps: int, every: int = 0) -> tuple[Counter[tuple[str, str, str]], list[int]]:
+    """Step through scenes; return how often each kind of scene was met, and memory each so many steps [bytes]."""
+    actions, scenes = random_actions(np.random.default_rng(FIRST_SEED)), all_scenes()
+    kinds: Counter[tuple[str, str, str]] = Counter()
+    memory: list[int] = []
+    done = True
+    for step in range(steps):
+        if done:
+            scene = next(scenes)
+            kinds[scene.posture, scene.task, scene.terrain.kind] += 1
+            vector, _ = env.reset_flat(options={"scene": scene})
+            assert env.observation_space.contains(as_dict(vector)), f"scene {scene.seed}: outside observation_space"
+        vector, reward, terminated, truncated, _ = env.step_flat(next(actions))
+        done = terminated or truncated
+        fault = step_fault(env, vector, reward)
+        assert not fault, f"step {step}, scene {scene.seed}: {fault}"
+        if every and step % every == 0:
+            memory.append(psutil.Process().memory_info().rss)
+    return kinds, memory
+
+
+def test_a_short_run_meets_many_scenes_and_no_fault(env: LunarRescueEnv) -> None:
+    kinds, _ = soak(env, 3000)
+    assert sum(kinds.values()) > 10
+    assert len({posture for posture, _, _ in kinds}) > 10 and {task for _, task, _ in kinds} == {"lift", "turn_over"}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_long_run_meets_every_kind_of_scene_and_memory_stands_still(env: LunarRescueEnv) -> None:
+    """In the first steps caches fill; from 50,000 on a million steps grew by 0.3 % over their last half."""
+    kinds, memory = soak(env, STEPS, every=STEPS // 200)
+    wanted = {(posture, task, terrain) for posture, task in task_distribution() for terrain in KINDS}
+    assert sum(kinds.values()) >= 8 * len(wanted) and not wanted - set(kinds)
+    assert memory_growth(memory) < LARGEST_GROWTH
+
+
+def test_scenes_take_all_postures_and_tasks_and_no_seed_twice() -> None:
+    pairs = task_distribution()
+    scenes = list(islice(all_scenes(), len(pairs)))
+    assert {(s.posture, s.task) for s in scenes} == set(pairs)
+    seeds = [s.seed for s in scenes]
     assert len(set(seeds)) == len(seeds) and min(seeds) == FIRST_SEED
     assert all(seed in TRAIN for seed in seeds)
 
@@ -78,28 +130,9 @@ def test_actions_are_held_at_times_and_noise_at_others() -> None:
     assert 0.5 < held < 0.9 and np.abs(actions).max() <= 1
 
 
-@pytest.mark.parametrize("growth", [-0.02, 0.0, 0.005])
-def test_memory_that_stands_still_passes(growth: float) -> None:
-    assert not judge([series(growth)])
-
-
-@pytest.mark.parametrize("growth", [0.02, 0.5])
-def test_memory_that_grows_fails(growth: float) -> None:
-    faults = judge([series(0.0), series(growth)])
-    assert len(faults) == 1 and faults[0].startswith("process 1: memory grew")
-    assert not judge([series(growth, steps=SETTLED - 1)])
-
-
 def test_growth_is_that_of_the_medians() -> None:
     assert memory_growth([1] * 50 + [100] * 10 + [7] * 30 + [103] * 9 + [10**9]) == pytest.approx(0.03)
     assert memory_growth([1, 2, 3]) == 0.0
-
-
-def test_kinds_of_scene_that_are_never_met_fail() -> None:
-    record = Record(steps=10, episodes=10**6)
-    record.scenes["supine", "lift", "smooth"] = 10**6
-    assert "never met" in judge([record])[0]
-    assert not judge([Record(steps=10, episodes=3)])
 
 
 @pytest.mark.parametrize(
@@ -142,67 +175,11 @@ def _spoil(env: LunarRescueEnv, monkeypatch: pytest.MonkeyPatch, how: str) -> No
 
 @pytest.mark.parametrize(
     ("how", "word"),
-    [("raise", "spoilt"), ("observation", "not finite at [3]"), ("reward", "inf"), ("body", "centre")],
+    [("raise", "spoilt"), ("observation", "not finite at \\[3\\]"), ("reward", "inf"), ("body", "centre")],
 )
 def test_the_run_stops_at_the_first_fault(
     env: LunarRescueEnv, monkeypatch: pytest.MonkeyPatch, how: str, word: str
 ) -> None:
     _spoil(env, monkeypatch, how)
-    record = run_share(env, 100, 0, 1, lambda _: None)
-    assert word in record.fault and f"scene {FIRST_SEED}" in record.fault
-    assert record.steps <= 30
-    assert not summary([record], judge([record]))["passed"]
-
-
-def test_a_failed_run_writes_its_file_and_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("reproduce.experiments.soak.soak", lambda steps, quiet: [series(0.3)])
-    with pytest.raises(RunFailedError, match="memory grew"):
-        run_soak(100, tmp_path / "soak.json", quiet=True)
-    assert not json.loads((tmp_path / "soak.json").read_text())["passed"]
-
-
-@pytest.mark.parametrize("steps", [0, -5, True, 1.5])
-def test_bad_numbers_of_steps_are_refused(steps: Any) -> None:
-    with pytest.raises(UserError, match="steps"):
-        soak(steps)
-
-
-def _alive(group: int) -> bool:
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-def test_ctrl_c_leaves_no_process_behind(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "reproduce", "soak", "--steps", "200000"]
-    told = tmp_path / "stderr"
-    with told.open("w") as stream:
-        run = subprocess.Popen(command, stderr=stream, start_new_session=True)
-    try:
-        deadline = time.monotonic() + 60
-        while not re.search(r"\| [1-9]", told.read_text()) and time.monotonic() < deadline:  # until they step
-            time.sleep(0.1)
-        assert run.poll() is None
-        os.killpg(run.pid, signal.SIGINT)  # a terminal's Ctrl-C goes to the whole group
-        assert run.wait(timeout=20) == 130
-        assert "Traceback" not in told.read_text()
-        deadline = time.monotonic() + 10
-        while _alive(run.pid) and time.monotonic() < deadline:
-            time.sleep(0.1)
-        assert not _alive(run.pid)
-    finally:
-        if _alive(run.pid):
-            os.killpg(run.pid, signal.SIGKILL)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [(["soak", "--steps", "-5"], "steps"), (["bench", "--part", "physics"], "--part")],
-)
-def test_bad_calls_end_with_one_line_and_code_2(arguments: list[str], word: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "reproduce", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120, check=False)
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and word in done.stderr
-    assert not list(tmp_path.iterdir())
+    with pytest.raises((AssertionError, ArithmeticError), match=word):
+        soak(env, 100)

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
+from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train_as_needed
-from reproduce.experiments.workflow.batch import LOCK, remaining, run_batch
-from reproduce.experiments.workflow.plan import Job, Plan, parse_seeds
-from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.experiments.workflow.batch import LOCK, run_batch
+from reproduce.experiments.workflow.plan import Plan, parse_seeds
+from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_json
+from reproduce.storage.paths import ROOT
 
 
 def plan(*methods: str, seeds: tuple[int, ...] = (0,)) -> Plan:
@@ -42,7 +46,7 @@ def test_a_plan_has_a_step_for_each_file_and_round_trips(tmp_path: Path) -> None
     assert "reference/fun/seed0/run.json" in outputs and "reference/random/seed0/evaluation.json" in outputs
     assert "reference/random/seed0/run.json" not in outputs and "reference/random/seed3/evaluation.json" not in outputs
     assert [job.rule for job in made.jobs("tables")][-1] == "tables" and jobs[-1].rule == "report"
-    write_json(tmp_path / "batch.json", made.as_data())
+    write_json(tmp_path / "batch.json", asdict(made))
     assert Plan.read(tmp_path / "batch.json") == made
     write_json(tmp_path / "batch.json", {"preset": "smoke"})
     with pytest.raises(UserError, match="plan of a batch"):
@@ -51,57 +55,102 @@ def test_a_plan_has_a_step_for_each_file_and_round_trips(tmp_path: Path) -> None
         plan("nonsense")
 
 
-def test_what_is_left_is_estimated_from_what_was_measured(tmp_path: Path) -> None:
-    def job(name: str, guess: float) -> Job:
-        return Job("train", name, Path(name), Path(name), Path(f"{name}.tsv"), guess)
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the Python of an environment in a folder with a space in its name; the packages lie there, too."""
+    folder = tmp_path_factory.mktemp("a folder") / "a checkout"
+    for name in ("envs", "reproduce", "notebooks"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    (folder / ".venv" / "bin").mkdir(parents=True)
+    shutil.copy(Path(sys.prefix) / "pyvenv.cfg", folder / ".venv")
+    (folder / ".venv" / "lib").symlink_to(Path(sys.prefix) / "lib")
+    executable = folder / ".venv" / "bin" / "python"
+    executable.symlink_to(Path(sys.executable).resolve())
+    return executable
 
-    jobs = [job("a", 10.0), job("b", 20.0), job("c", 30.0)]
-    assert remaining(jobs, set(), tmp_path, 1) == 60.0
-    assert remaining(jobs, set(), tmp_path, 3) == 30.0  # no shorter than its longest step
-    (tmp_path / "a.tsv").write_text("s\th:m:s\n5.0\t0:00:05\n")
-    assert remaining(jobs, {jobs[0]}, tmp_path, 1) == 25.0  # half as long as guessed
+
+def batch(python: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run the smoke batch of ``random`` up to its tables by the command line."""
+    checkout = python.parents[2]
+    command = [str(python), "-m", "reproduce", "batch", "--preset", "smoke", "--methods", "random", "--threads", "1"]
+    environment = {**os.environ, "PYTHONPATH": f"{checkout / 'envs'}:{checkout}"}
+    return subprocess.run(
+        [*command, "--slots", "1", "--until", "tables", "--out", str(out), *options],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("batch") / "out"
-    run_batch(plan("random"), out, until="tables", echo=_quiet)
-    return out
+def failed_and_done(python: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """Return what a batch said that failed, and its folder after the same command went on from there."""
+    out = tmp_path_factory.mktemp("batch") / "an out"
+    (out / "reference" / "random").mkdir(parents=True)
+    (out / "reference" / "random" / "seed0").write_text("in the way")
+    failed = batch(python, out)
+    assert failed.returncode == 1, failed.stderr
+    (out / "reference" / "random" / "seed0").unlink()
+    done = batch(python, out)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 3 steps" in done.stdout and f"{out}/tables: done" in done.stdout
+    return failed.stderr, out
+
+
+@pytest.fixture(scope="module")
+def done(failed_and_done: tuple[str, Path]) -> Path:
+    return failed_and_done[1]
 
 
 def _quiet(words: str) -> None:
     del words
 
 
+@pytest.mark.process
 def test_a_batch_writes_evaluations_tables_and_claims(done: Path) -> None:
     assert read_json(done / "reference/random/seed0/evaluation.json", "evaluation")["tests"] == 8
     for name in ("table1.csv", "claims.json", "tables/success.csv", "tables/paired_test.csv"):
         assert (done / name).is_file(), name
     assert "random,0,evaluation" in (done / "tables" / "success.csv").read_text()
+    timings = (done / "timings.csv").read_text().splitlines()
+    assert timings[0] == "rule,step,output,seconds" and len(timings) == 3
+    assert all(float(line.rsplit(",", 1)[1]) > 0 for line in timings[1:])
 
 
+def left(chosen: Plan, out: Path) -> list[str]:
+    """Return what a dry run says."""
+    lines: list[str] = []
+    run_batch(chosen, out, until="tables", dry_run=True, echo=lines.append)
+    return lines
+
+
+@pytest.mark.process
 def test_a_batch_does_again_only_what_changed(done: Path) -> None:
     evaluation = done / "reference/random/seed0/evaluation.json"
+    before = evaluation.stat().st_mtime_ns
+    another = replace(plan("random"), environment="another")
+    assert left(plan("random"), done)[-1] == "0 steps left"
+    run_batch(plan("random"), done, until="tables", echo=_quiet)
+    assert evaluation.stat().st_mtime_ns == before
+    assert left(another, done)[0] == "reference/random/seed0/evaluation.json"
+    run_batch(another, done, until="tables", echo=_quiet)
+    assert evaluation.stat().st_mtime_ns != before
+    assert left(another, done)[-1] == "0 steps left" and left(plan("random"), done)[-1] == "2 steps left"
 
-    def again(chosen: Plan) -> bool:
-        before = evaluation.stat().st_mtime_ns
-        run_batch(chosen, done, until="tables", echo=_quiet)
-        return evaluation.stat().st_mtime_ns != before
 
-    assert not again(plan("random"))
-    assert again(replace(plan("random"), environment="another"))
-    assert again(plan("random")) and not again(plan("random"))
+@pytest.mark.process
+def test_a_dry_run_names_what_is_left_and_leaves_no_trace(tmp_path: Path) -> None:
+    lines = left(plan("random"), tmp_path / "new")
+    assert "reference/random/seed0/evaluation.json" in lines and lines[-1] == "2 steps left"
+    assert any("reason: Missing output files" in line for line in lines)
+    assert not list(tmp_path.iterdir())
 
 
-def test_a_failed_step_is_named_and_the_same_command_goes_on(tmp_path: Path) -> None:
-    bad = tmp_path / "reference" / "random"
-    bad.mkdir(parents=True)
-    (bad / "seed0").write_text("in the way")
-    with pytest.raises(RunFailedError, match=r"evaluation of random seed 0|Snakemake"):
-        run_batch(plan("random"), tmp_path, until="tables", echo=_quiet)
-    (bad / "seed0").unlink()
-    run_batch(plan("random"), tmp_path, until="tables", echo=_quiet)
-    assert (tmp_path / "tables" / "success.csv").is_file()
+@pytest.mark.process
+def test_a_failed_step_is_named_and_the_same_command_goes_on(failed_and_done: tuple[str, Path]) -> None:
+    told, out = failed_and_done
+    assert len(told.splitlines()) == 1
+    assert "batch failed: " in told and ("evaluation of random seed 0" in told or "Snakemake" in told)
+    assert (out / "tables" / "success.csv").is_file()
 
 
 def test_a_second_batch_in_one_folder_is_told_so(tmp_path: Path) -> None:
@@ -109,7 +158,7 @@ def test_a_second_batch_in_one_folder_is_told_so(tmp_path: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX)
         lock.write("process 7")
         lock.flush()
-        with pytest.raises(UserError, match=r"another batch.*process 7"):
+        with pytest.raises(UserError, match=r"the batch is in use by another process \(process 7\)"):
             run_batch(plan("random"), tmp_path, echo=_quiet)
 
 
@@ -134,25 +183,41 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         run_batch(plan("random"), tmp_path / "file" / "out", echo=_quiet)
 
 
-def test_snakemake_ends_when_its_batch_is_killed(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "reproduce", "batch", "--methods", "planner", "--out", str(tmp_path / "out")]
-    process = subprocess.Popen([*command, "--until", "tables"], stdout=subprocess.DEVNULL, start_new_session=True)
-    log = tmp_path / "out" / "logs" / "evaluate_planner_seed0_evaluation.log"
+@pytest.mark.process
+@pytest.mark.parametrize("whom", ["batch", "snakemake"])
+def test_no_step_outlives_its_batch_or_snakemake(tmp_path: Path, whom: str) -> None:
+    out = tmp_path / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "reproduce",
+        "batch",
+        "--preset",
+        "laptop",
+        "--methods",
+        "planner",
+        "--out",
+        str(out),
+    ]
+    process = subprocess.Popen(
+        [*command, "--until", "tables"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    log = out / "logs" / "evaluate_planner_seed0_evaluation.log"
     end = time.monotonic() + 60
-    while not log.is_file() and time.monotonic() < end:
+    while not (log.is_file() and log.stat().st_size) and time.monotonic() < end:  # its 1000 tests have begun
         time.sleep(0.1)
-    process.kill()
+    assert len(alive(process.pid)) > 2
+    (snakemake,) = map(int, Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split())
+    os.kill(process.pid if whom == "batch" else snakemake, signal.SIGKILL)
     process.wait()
-    while time.monotonic() < end + 60:
-        with (tmp_path / "out" / LOCK).open("r+") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return  # Snakemake held it too, and is gone
-            except OSError:
-                time.sleep(0.2)
-    pytest.fail("Snakemake went on without its batch")
+    while alive(process.pid) and time.monotonic() < end + 30:
+        time.sleep(0.1)
+    assert not alive(process.pid)
+    with (out / LOCK).open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+@pytest.mark.process
 def test_training_as_needed_begins_goes_on_ends_and_sets_aside(tmp_path: Path) -> None:
     method, folder = METHODS["ppo_lstm"], tmp_path / "reference" / "ppo_lstm" / "seed0"
     config = replace(method.config("smoke"), steps=512, n_envs=2)

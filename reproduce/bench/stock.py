@@ -1,4 +1,4 @@
-"""HRL-DCS with stock parts: SB3's SubprocVecEnv and sb3-contrib's RecurrentPPO, to compare our parts' speed with.
+"""Train HRL-DCS with stock parts: SB3's SubprocVecEnv and sb3-contrib's RecurrentPPO, to compare our parts' speed with.
 
 The same environments, networks, rollouts, batches and epochs; only who steps and who learns differ. It is for ``bench``
 alone: SGN's decisions are cut to a rectangle, as a stock buffer wants, so it is not meant to learn well.
@@ -35,7 +35,6 @@ class FlatEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """The environment with its flat observation, as SB3's vectorised environments want it."""
 
     def __init__(self) -> None:
-        """Make the environment."""
         self._env = LunarRescueEnv()
         self.observation_space = spaces.Box(-BOUND, BOUND, (SIZE,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
@@ -47,42 +46,36 @@ class FlatEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._env.reset_flat(None, options)
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Take a step."""
+        """Take one step with joint actions (JOINTS,)."""
         return self._env.step_flat(action)
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the physics server."""
         self._env.close()
 
 
 class TermsFromInfos(VecEnvWrapper):
-    """Reward terms of the last step as an array, which our workers share and stock ones put into infos.
-
-    Attributes:
-        terms: (n, len(TERMS)).
-    """
+    """Gather the reward terms of the last step from infos into ``terms`` (n, len(TERMS)), which our workers share."""
 
     def __init__(self, venv: VecEnv) -> None:
-        """Wrap."""
         super().__init__(venv)
         self.terms = np.zeros((venv.num_envs, len(TERMS)), np.float32)
 
     def reset(self) -> Any:
-        """Begin new episodes."""
+        """Begin an episode in each environment."""
         return self.venv.reset()
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Wait, and gather the terms."""
+        """Wait for the step and gather its terms."""
         observations, rewards, dones, infos = self.venv.step_wait()
         self.terms[:] = [[info["reward_terms"][name] for name in TERMS] for info in infos]
         return observations, rewards, dones, infos
 
 
 class StockTraining:
-    """One training with stock parts; ``update`` is one rollout and one training of each layer."""
+    """Train HRL-DCS with stock parts; ``update`` is one rollout and one training of each layer."""
 
     def __init__(self, config: TrainingConfig, seed: int) -> None:
-        """Start environments and learners."""
         self.config = config
         workers = SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver")
         venv = TermsFromInfos(workers)
@@ -96,27 +89,27 @@ class StockTraining:
         self._callback = start_collecting(self.lln, config.steps)
 
     def collect(self) -> None:
-        """Take one rollout."""
+        """Take one rollout into LLN's buffer."""
         self.lln.collect_rollouts(self.env, self._callback, self.lln.rollout_buffer, self.config.low.n_steps)
 
     def update(self) -> None:
-        """Collect and learn."""
+        """Take one rollout and train both layers on it."""
         self.collect()
         self.lln.train()
         fill_buffer(self.sgn.rollout_buffer, self.env, self.rows)
         self.sgn.train()
 
     def close(self) -> None:
-        """Stop the environments."""
+        """Stop the environments and their processes."""
         self.env.close()
 
 
 def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -> None:
-    """SGN's first decisions of every environment as a stock buffer, and none left behind."""
-    made = env.recorder.decisions
+    """Fill a stock buffer with SGN's first decisions of every environment; a last one stays, as its return is open."""
+    recorded = env.recorder.decisions
     buffer.reset()
     for row in range(rows):
-        at = [decisions[min(row, len(decisions) - 1)] for decisions in made]
+        at = [decisions[min(row, len(decisions) - 1)] for decisions in recorded]
         hidden = th.from_numpy(np.stack([d.hidden for d in at])).unsqueeze(0)
         pair = (hidden[:, :, 0].contiguous(), hidden[:, :, 1].contiguous())
         buffer.add(
@@ -128,13 +121,13 @@ def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -
             th.tensor([d.log_prob for d in at]),
             lstm_states=RNNStates(pair, pair),
         )
-    buffer.compute_returns_and_advantage(th.zeros(len(made)), np.zeros(len(made)))
-    for index, decisions in enumerate(made):
-        made[index] = decisions[-1:]
+    buffer.compute_returns_and_advantage(th.zeros(len(recorded)), np.zeros(len(recorded)))
+    for index, decisions in enumerate(recorded):
+        recorded[index] = decisions[-1:]
 
 
 def copy_rollout(source: RecurrentRolloutBuffer, target: RecurrentRolloutBuffer) -> None:
-    """The same transitions in another learner's buffer."""
+    """Copy a rollout's transitions into another learner's buffer."""
     for name, value in vars(source).items():
         if isinstance(value, np.ndarray):
             setattr(target, name, value.copy())

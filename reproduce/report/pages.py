@@ -24,8 +24,7 @@ from lunar_rescue.scenes.terrain import MAX_SLOPE, MOUND_RADIUS, MOUND_STEEPNESS
 from reproduce.analysis.claims import compute_claims
 from reproduce.analysis.runs import runs_of
 from reproduce.analysis.tables import markdown_table, readable_differences, readable_table1
-from reproduce.bench.profiling import SHARES
-from reproduce.bench.speed import BATCHES
+from reproduce.bench.training import BATCHES
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.workflow.plan import Plan
 from reproduce.report.items import items, timings
@@ -241,6 +240,18 @@ def _training(b: dict[str, Any]) -> str:
         ),
     ]
     return markdown_table(("", ""), rows)
+
+
+#: What a second of training is made of (results/bench_profile.json): key and what it is.
+SHARES = {
+    "environments": "waiting for the workers, which step and reset the environments",
+    "lln_acts": "LLN chooses actions and values them",
+    "sgn_acts": "SGN chooses sub-goals and values them",
+    "hierarchy": "INR, sub-goals, mirrored views, SGN's transitions",
+    "collecting": "the rest of SB3's collection: buffers, copies, advantages",
+    "lln_learns": "LLN's epochs",
+    "sgn_learns": "SGN's epochs",
+}
 
 
 def profile_block() -> str:

@@ -1,33 +1,32 @@
-"""``reproduce batch``: starts Snakemake on the plan, shows how far it is, and says what failed."""
+"""``reproduce batch``: one Snakemake a folder, which ends with its batch, and the list of what failed."""
 
 from __future__ import annotations
 
-import ctypes
-import fcntl
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import IO
 
 import pandas as pd
-from tqdm.auto import tqdm
 
 from reproduce.experiments.workflow.plan import TARGETS, Job, Plan, cores
 from reproduce.storage.errors import RunFailedError, UserError
-from reproduce.storage.files import write_atomically, write_json
+from reproduce.storage.files import locked, write_atomically, write_json
+from reproduce.storage.processes import end_with
 from reproduce.storage.provenance import record_origin
 
 HERE = Path(__file__).parent
 PROFILES = ("local", "slurm")
+#: Snakemake's own lock outlives a kill and wants ``--unlock``. Steps hold locks of other names in the same folder.
 LOCK = ".batch.lock"
-LOOK_EVERY = 1.0  # s
-TAIL = 3  # lines of a failed job's log that are shown
-_PR_SET_PDEATHSIG = 1
+TAIL = 3  # lines of a failed step's log that are shown
 
 Echo = Callable[[str], None]
 
@@ -47,7 +46,7 @@ def run_batch(
         plan: What to do.
         out: Folder of the batch, laid out as results/ is.
         profile: ``local``, ``slurm`` or a folder with a Snakemake profile.
-        slots: Jobs at once.
+        slots: Steps at once.
         until: One of ``TARGETS``.
         dry_run: Only say what is left.
         echo: Takes lines for people.
@@ -62,18 +61,23 @@ def run_batch(
     if until not in TARGETS:
         raise UserError(f"--until: expected one of {', '.join(TARGETS)}; got {until!r}")
     out, jobs = out.resolve(), plan.jobs(until)
+    limits = ["--profile", str(settings), "--cores", str(slots * plan.threads), "--jobs", str(slots)]
     if dry_run:
-        _tell_what_is_left(jobs, out, slots, echo)
+        _tell_what_is_left(plan, out, [f"until_{until}", *limits], echo)
         return
-    with _only_one(out) as lock:
-        _write_plan(plan, out)
-        command = _command(settings, out, slots, plan.threads, until)
+    with locked(out, "the batch", name=LOCK) as lock:
+        write_json(out / "batch.json", asdict(plan))
         begun = time.time()
-        code = _follow(command, lock, jobs, out, slots, echo)
-    failed = [job for job in jobs if not (out / job.output).is_file()]
-    if code or failed:
-        raise RunFailedError(_what_failed(failed, code, out, begun))
-    _write_timings(jobs, out)
+        code = _run(_command(out, out / "batch.json", [f"until_{until}", *limits]), out, lock, echo)
+        failed = [job for job in jobs if not (out / job.output).is_file()]
+        if code or failed:
+            raise RunFailedError(_what_failed(failed, code, out, begun))
+        _write_timings(jobs, out)
+
+
+def default_slots() -> int:
+    """Return how many steps run at once on this machine: one for two cores."""
+    return max(1, cores() // 2)
 
 
 def _profile(profile: str) -> Path:
@@ -85,166 +89,91 @@ def _profile(profile: str) -> Path:
     return settings.resolve()
 
 
-@contextmanager
-def _only_one(out: Path) -> Iterator[IO[str]]:
-    """Hold the folder's lock; the kernel lets it go when the last process that holds it ends, however it does."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock = (out / LOCK).open("a+", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"{out}: the batch cannot write there: {error.strerror}") from None
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            lock.seek(0)
-            who = lock.read().strip() or "another process"
-            raise UserError(
-                f"{out}: another batch is under way there ({who}); wait for it or choose another --out"
-            ) from None
-        try:
-            lock.truncate(0)
-            lock.write(f"process {os.getpid()}")
-            lock.flush()
-        except OSError as error:
-            raise UserError(f"{out}: the batch cannot write there: {error.strerror}") from None
-        yield lock
+def _command(folder: Path, plan: Path, options: list[str]) -> list[str]:
+    where = ["--snakefile", str(HERE / "Snakefile"), "--directory", str(folder)]
+    return [sys.executable, "-m", "snakemake", *options, *where, "--config", f"plan={plan}"]
 
 
-def _write_plan(plan: Plan, out: Path) -> None:
-    try:
-        write_json(out / "batch.json", plan.as_data())
-        (out / "logs").mkdir(exist_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: the batch cannot write there: {error.strerror}") from None
-
-
-def _command(settings: Path, out: Path, slots: int, threads: int, until: str) -> list[str]:
-    limits = ["--cores", str(slots * threads), "--jobs", str(slots)]
-    return [
-        *(sys.executable, "-m", "snakemake", f"until_{until}"),
-        *("--snakefile", str(HERE / "Snakefile"), "--directory", str(out), "--profile", str(settings), *limits),
-    ]
-
-
-def _die_with_parent() -> None:
-    """Have this process told to end when its parent dies, by whatever: no Snakemake without its batch."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _follow(command: list[str], lock: IO[str], jobs: list[Job], out: Path, slots: int, echo: Echo) -> int:
-    """Start Snakemake, show what gets done; return its exit code."""
-    done = {job for job in jobs if (out / job.output).is_file()}
-    echo(f"{out}: {len(done)} of {len(jobs)} steps are there")
-    with (out / "logs" / "snakemake.log").open("a", encoding="utf-8") as log:
+def _run(command: list[str], out: Path, lock: IO[str], echo: Echo) -> int:
+    """Run Snakemake, keep what it prints, pass on how far it is; return its exit code."""
+    path = out / "logs" / "snakemake.log"
+    path.parent.mkdir(exist_ok=True)
+    with path.open("a", encoding="utf-8") as log:
         process = subprocess.Popen(
             command,
-            stdout=log,
+            stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
-            # Snakemake holds the lock too, so that nobody else starts while it winds up after a kill of the batch.
+            text=True,
+            errors="replace",
+            # Snakemake holds the lock too, so that nobody else starts before it is gone.
             pass_fds=(lock.fileno(),),
-            preexec_fn=_die_with_parent,
+            preexec_fn=partial(end_with, os.getpid(), signal.SIGKILL),
         )
-        with tqdm(total=len(jobs), initial=len(done), unit="step", desc="batch", disable=None) as bar:
-            while True:
-                code = process.poll()
-                now = {job for job in jobs if (out / job.output).is_file()}
-                if code is None:  # Snakemake notes the seconds a little after the file is there
-                    now = {job for job in now if job in done or (out / job.timing).is_file()}
-                for job in jobs:
-                    if job in now - done:
-                        bar.write(f"done: {job.name}{_took(job, out)}", file=sys.stdout)
-                bar.update(len(now) - len(done))
-                done = now
-                bar.set_postfix_str(f"about {_readable(remaining(jobs, done, out, slots))} left", refresh=False)
-                if code is not None:
-                    return code
-                try:
-                    time.sleep(LOOK_EVERY)
-                except KeyboardInterrupt:
-                    process.send_signal(signal.SIGTERM)
-                    process.wait()
-                    raise
+        with process:
+            try:
+                for line in process.stdout or ():
+                    log.write(line)
+                    log.flush()
+                    if " steps (" in line:
+                        echo(line.strip())
+                return process.wait()
+            finally:
+                process.kill()  # its steps are told, as in Snakefile
 
 
-def remaining(jobs: list[Job], done: set[Job], out: Path, slots: int) -> float:
-    """Seconds that the rest may take: as long as jobs of the same kind took here, or a guess."""
-    measured: dict[str, list[float]] = {}
-    for job in done:
-        seconds = _seconds(job, out)
-        if seconds is not None:
-            measured.setdefault(job.rule, []).append(seconds / job.guess)
-    shares = {rule: sum(ratios) / len(ratios) for rule, ratios in measured.items()}
-    left = [job.guess * shares.get(job.rule, 1.0) for job in jobs if job not in done]
-    return max(sum(left) / slots, max(left, default=0.0))
-
-
-def _seconds(job: Job, out: Path) -> float | None:
-    try:
-        return float(pd.read_csv(out / job.timing, sep="\t")["s"].iloc[-1])
-    except (OSError, ValueError, KeyError, IndexError):
-        return None
-
-
-def _took(job: Job, out: Path) -> str:
-    seconds = _seconds(job, out)
-    return "" if seconds is None else f" ({_readable(seconds)})"
+def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) -> None:
+    """Tell which files Snakemake would make, and why; leave no trace where no batch is yet."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "batch.json"
+        write_json(path, asdict(plan))
+        command = [*_command(out if out.is_dir() else Path(scratch), path, options), "--dry-run"]
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RunFailedError(f"batch: Snakemake ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
+    lines = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
+    for line in lines:
+        if line.startswith(("output: ", "reason: Missing", "reason: Input", "reason: Params", "reason: Set")):
+            echo(line.removeprefix("output: ") if line.startswith("output: ") else f"  {line}")
+    steps = sum(line.startswith("output: ") for line in lines)
+    echo(f"{steps} steps left")
 
 
 def _write_timings(jobs: list[Job], out: Path) -> None:
     """Write ``timings.csv``: seconds of each step, as Snakemake measured them."""
-    rows = [{"rule": j.rule, "step": j.name, "output": str(j.output), "seconds": _seconds(j, out)} for j in jobs]
+    rows = [
+        {"rule": j.rule, "step": j.name, "output": str(j.output), "seconds": _seconds(out / j.timing)} for j in jobs
+    ]
     write_atomically(out / "timings.csv", lambda path: pd.DataFrame(rows).to_csv(path, index=False))
     record_origin(out / "timings.csv")
 
 
-def _readable(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 120
-        else f"{seconds / 60:.0f} min"
-        if seconds < 7200
-        else f"{seconds / 3600:.1f} h"
-    )
-
-
-def _tell_what_is_left(jobs: list[Job], out: Path, slots: int, echo: Echo) -> None:
-    done = {job for job in jobs if (out / job.output).is_file()}
-    for job in jobs:
-        if job not in done:
-            echo(f"{job.name}: about {_readable(job.guess)}")
-    echo(f"{len(jobs) - len(done)} of {len(jobs)} steps left, about {_readable(remaining(jobs, done, out, slots))}")
+def _seconds(path: Path) -> float | None:
+    try:
+        return float(pd.read_csv(path, sep="\t")["s"].iloc[-1])
+    except (OSError, ValueError, KeyError, IndexError):
+        return None
 
 
 def _what_failed(failed: list[Job], code: int, out: Path, begun: float) -> str:
-    """Jobs that ran and failed, each with the end of its log, and how many wait for them."""
-    told = []
-    waiting = 0
-    for job in failed:
-        lines = _log_lines(out / job.log, begun)
-        if lines:
-            told.append(f"{job.name}: {' / '.join(lines[-TAIL:])} ({out / job.log})")
-        else:
-            waiting += 1
-    if not told:
-        lines = _log_lines(out / "logs" / "snakemake.log")
-        told.append(f"Snakemake ended with code {code}: {' / '.join(lines[-TAIL:])} ({out / 'logs' / 'snakemake.log'})")
+    """Return the steps that ran and failed, each with the end of its log, and how many wait for them."""
+    ends = {job: _end_of_log(out / job.log, begun) for job in failed}
+    faults = [f"{job.name}: {end} ({out / job.log})" for job, end in ends.items() if end]
+    waiting = len(failed) - len(faults)
+    if not faults:
+        log = out / "logs" / "snakemake.log"
+        faults = [f"Snakemake ended with code {code}: {_end_of_log(log, begun)} ({log})"]
     rest = f"; {waiting} steps wait for that" if waiting else ""
-    return f"batch failed: {'; '.join(told)}{rest}; the same command goes on from there"
+    return f"batch failed: {'; '.join(faults)}{rest}; the same command goes on from there"
 
 
-def _log_lines(path: Path, since: float = 0.0) -> list[str]:
-    """Lines of a log that was written to since then."""
+def _end_of_log(path: Path, since: float) -> str:
+    """Return the last lines of a log that was written to since then, or nothing."""
     try:
         if path.stat().st_mtime < since:
-            return []
+            return ""
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return []
-    return [line.strip() for line in text.replace("\r", "\n").splitlines() if line.strip()]
-
-
-def default_slots() -> int:
-    """Jobs at once on this machine: one for two cores."""
-    return max(1, cores() // 2)
+        return ""
+    lines = [line.strip() for line in text.replace("\r", "\n").splitlines() if line.strip()]
+    return " / ".join(lines[-TAIL:])

@@ -1,4 +1,4 @@
-"""What a batch consists of: its jobs, what each one writes, and how long it may take.
+"""What a batch consists of: its steps and the file that each one writes.
 
 The Snakefile, ``reproduce batch`` and the README's table of commands all read this.
 """
@@ -8,17 +8,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import field
 from pathlib import Path
-from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.evaluations import EVALUATIONS, TESTS
 from reproduce.experiments.methods import METHODS, get_method
 from reproduce.learning.config import to_dict
-from reproduce.report.notebooks import find_notebooks
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
+from reproduce.storage.paths import notebook_files
 
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
@@ -26,45 +28,46 @@ REPORT = "report/index.html"
 TARGETS = ("policies", "tables", "report")
 MOST_SEEDS = 1000
 
-# Guesses of seconds on 2 cores, until a batch has measured its own.
-_STARTING = 6.0  # a command and its imports
-_STEPS_PER_SECOND = 1200.0
-_SECONDS_A_TEST = {"planner": 1.2, "scripted": 0.05}
-_NOTEBOOK = 20.0
-
 
 @dataclass(frozen=True)
 class Job:
-    """One step.
+    """One step; its files are relative to the batch's folder.
 
     Attributes:
-        rule: Of the Snakefile.
-        name: For people.
-        output: Relative to the batch's folder; a job is done when it is there.
-        log: Relative to the batch's folder.
-        timing: Where its seconds are noted, relative to the batch's folder.
-        guess: Seconds that it may take.
+        rule: Rule of the Snakefile that does it.
+        name: What people call it, such as "train hrl_dcs seed 0".
+        output: The file that it writes; the step is done when it is there.
+        label: Stem of its log and of the file with its seconds.
     """
 
     rule: str
     name: str
     output: Path
-    log: Path
-    timing: Path
-    guess: float
+    label: str
+
+    @property
+    def log(self) -> Path:
+        """File that takes what the step prints."""
+        return Path(f"logs/{self.rule}_{self.label}.log")
+
+    @property
+    def timing(self) -> Path:
+        """File in which Snakemake notes the step's seconds."""
+        return Path(f"timings/{self.rule}_{self.label}.tsv")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything a batch is to do.
+    """Everything that a batch is to do.
 
     Attributes:
-        preset: Of trainings and notebooks.
-        methods: In the registry's order.
-        seeds: Of each method that learns.
-        threads: Cores of one job.
-        environment: Version; results of another one are made anew.
+        preset: Preset of trainings and notebooks.
+        methods: Names of methods in the registry's order.
+        seeds: Seeds of each method that learns, in order.
+        threads: Cores of one step.
+        environment: Version of the environment; results of another one are made anew.
         configurations: A digest of each method's configuration; likewise.
+        notebooks: Names of the notebooks.
     """
 
     preset: str
@@ -73,111 +76,90 @@ class Plan:
     threads: int
     environment: str
     configurations: dict[str, str]
+    notebooks: tuple[str, ...] = field(default_factory=lambda: tuple(path.stem for path in notebook_files()))
 
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
-        """Evaluation names and numbers.
+        """Plan the batch of some methods and seeds, given in any order.
 
         Raises:
             UserError: On an unknown preset or method.
         """
-        chosen = [name for name in METHODS if name in {get_method(m).name for m in methods}]
-        digests = {name: _digest(to_dict(METHODS[name].config(preset))) for name in chosen}
-        return cls(preset, tuple(chosen), tuple(sorted(set(seeds))), threads, ENVIRONMENT_VERSION, digests)
-
-    @classmethod
-    def of(cls, data: dict[str, Any]) -> Plan:
-        """From what ``as_data`` gave."""
-        kept: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in data.items()}
-        return cls(**kept)
+        wanted = {get_method(method).name for method in methods}
+        names = [name for name in METHODS if name in wanted]
+        digests = {name: _digest(METHODS[name].config(preset)) for name in names}
+        return cls(preset, tuple(names), tuple(sorted(set(seeds))), threads, ENVIRONMENT_VERSION, digests)
 
     @classmethod
     def read(cls, path: Path) -> Plan:
-        """From a file.
+        """Read a plan that a batch has written.
 
         Raises:
-            UserError: When it is missing or not a plan.
+            UserError: When the file is missing or holds no plan.
         """
         data = read_json(path, "plan of a batch")
         try:
-            return cls.of(data)
-        except (TypeError, AttributeError):
-            raise UserError(f"{path}: plan of a batch: expected {', '.join(cls.__dataclass_fields__)}") from None
-
-    def as_data(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+            return TypeAdapter(cls).validate_python(data)
+        except ValidationError as error:
+            fault = error.errors()[0]
+            where = ".".join(map(str, fault["loc"]))
+            raise UserError(f"{path}: plan of a batch: {where}: {fault['msg']}") from None
 
     def learns(self, method: str) -> bool:
-        """Whether a method has to be trained."""
+        """Return whether a method has to be trained."""
         return METHODS[method].train is not None
 
     def runs(self) -> list[tuple[str, int]]:
-        """Methods with their seeds; what does not learn has one."""
+        """Return each method with each of its seeds; a method that does not learn has seed 0 alone."""
         return [(m, s) for m in self.methods for s in (self.seeds if self.learns(m) else (0,))]
 
     def checks(self, method: str) -> list[str]:
-        """Which evaluations a method gets."""
+        """Return the names of a method's evaluations."""
         if not self.learns(method):
             return ["evaluation"]
         return list(EVALUATIONS) if method == "hrl_dcs" else ["evaluation", "heldout"]
 
     def tests(self, check: str) -> int:
-        """Scenes of an evaluation."""
+        """Return the number of scenes of an evaluation."""
         return TESTS[self.preset][EVALUATIONS[check].few]
 
     def policies(self) -> list[str]:
-        """Files that say that a training has ended."""
+        """Return the files that say that a training has ended."""
         return [f"{folder(m, s)}/run.json" for m, s in self.runs() if self.learns(m)]
 
     def evaluations(self) -> list[str]:
-        """Files of all evaluations."""
+        """Return the files of all evaluations."""
         return [f"{folder(m, s)}/{check}.json" for m, s in self.runs() for check in self.checks(m)]
 
-    def notebooks(self) -> list[str]:
-        """Names."""
-        return [notebook.name for notebook in find_notebooks()]
-
     def jobs(self, until: str = "report") -> list[Job]:
-        """The steps up to one of ``TARGETS``, in the order of what needs what."""
+        """Return the steps up to one of ``TARGETS``, each after those that it needs."""
         jobs = []
         for method, seed in self.runs():
-            name, where = f"{method} seed {seed}", folder(method, seed)
+            name, label, where = f"{method} seed {seed}", f"{method}_seed{seed}", Path(folder(method, seed))
             if self.learns(method):
-                seconds = METHODS[method].config(self.preset).steps / _STEPS_PER_SECOND
-                jobs.append(_job("train", f"train {name}", f"{where}/run.json", f"{method}_seed{seed}", seconds))
-            for check in self.checks(method) if until != "policies" else []:
-                seconds = self.tests(check) * _SECONDS_A_TEST.get(method, 0.06)
-                label = f"{method}_seed{seed}_{check}"
-                jobs.append(_job("evaluate", f"{check} of {name}", f"{where}/{check}.json", label, seconds))
-        if until == "policies":
-            return jobs
-        jobs.append(_job("tables", "tables", TABLES[-1], "all", 0.0))
-        if until == "tables":
-            return jobs
-        for notebook in self.notebooks():
-            output = f"notebooks/{notebook}.ipynb"
-            jobs.append(_job("notebook", f"notebook {notebook}", output, notebook, _NOTEBOOK))
-        jobs.append(_job("report", "report", REPORT, "all", 0.0))
+                jobs.append(Job("train", f"train {name}", where / "run.json", label))
+            if until != "policies":
+                for check in self.checks(method):
+                    jobs.append(Job("evaluate", f"{check} of {name}", where / f"{check}.json", f"{label}_{check}"))
+        if until != "policies":
+            jobs.append(Job("tables", "tables", Path(TABLES[-1]), "all"))
+        if until == "report":
+            jobs += [Job("notebook", f"notebook {n}", Path(f"notebooks/{n}.ipynb"), n) for n in self.notebooks]
+            jobs.append(Job("report", "report", Path(REPORT), "all"))
         return jobs
 
 
 def folder(method: str, seed: int | str) -> str:
-    """Run folder, relative to the batch's folder."""
+    """Return a run's folder, relative to the batch's."""
     return f"reference/{method}/seed{seed}"
 
 
-def _job(rule: str, name: str, output: str, label: str, seconds: float) -> Job:
-    log, timing = Path(f"logs/{rule}_{label}.log"), Path(f"timings/{rule}_{label}.tsv")
-    return Job(rule, name, Path(output), log, timing, seconds + _STARTING)
-
-
-def _digest(data: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+def _digest(config: object) -> str:
+    return hashlib.sha256(json.dumps(to_dict(config), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds of a text such as ``0-4`` or ``0,2,7``.
+    """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names.
 
     Raises:
         UserError: On anything else.
@@ -196,5 +178,5 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0))
