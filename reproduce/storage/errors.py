@@ -1,9 +1,9 @@
-"""The one kind of error that is the user's to mend: one line, exit code 2."""
+"""Two kinds of error that a command reports in one line, without a traceback."""
 
 
 class UserError(Exception):
-    """Says what was wrong, where, and what was expected."""
+    """What the user can mend (exit code 2): says what was wrong, where, what was expected and what came."""
 
 
 class RunFailedError(Exception):
-    """Something that was started did not end well; one line, exit code 1."""
+    """Something that a command started did not end well (exit code 1)."""

@@ -1,27 +1,155 @@
-"""Writing files so that a kill at any moment leaves the old one or the new one, never half of one."""
+"""Write files so that a kill at any moment leaves the old one or the new one, and let one process write at a time."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
-from collections.abc import Callable
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from reproduce.storage.errors import UserError
 
 LARGEST_JSON = 20_000_000  # bytes; nothing of ours comes near
+LOCK = ".lock"
+#: A shell's redirections, which are regular files at times, but hold what else the command prints.
+_STREAMS = ("/dev/stdout", "/dev/stderr", "/dev/fd", "/proc")
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a path that could not be written, before the work that would be written there.
+
+    Nothing is created: the nearest folder that exists is tried with a file without a name.
+
+    Raises:
+        UserError: When the path is a folder, lies below a file or in a folder that takes no files.
+    """
+    try:
+        if path.is_dir():
+            raise UserError(f"{path}: expected a file to write, got a folder")
+        if _is_stream(path):
+            if not os.access(path, os.W_OK):
+                raise UserError(f"{path}: cannot be written: permission denied")
+            return
+        folder = path.resolve().parent
+        while not os.path.lexists(folder):
+            folder = folder.parent
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Write to a temporary name beside ``path``, then rename."""
+    """Call ``write`` with a temporary name, then put that file in place of ``path`` in one step.
+
+    Links are followed. What is no regular file (a device, a pipe, a shell's redirection) is written to and stays what
+    it is. The file gets the mode that the umask gives, whatever mode its writer chose.
+
+    Raises:
+        UserError: When the file cannot be written; the old one is still there.
+    """
+    try:
+        if path.is_dir():
+            raise UserError(f"{path}: expected a file to write, got a folder")
+        if _is_stream(path):
+            _write_stream(path, write)
+        else:
+            _replace(path.resolve(), write)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _is_stream(path: Path) -> bool:
+    named = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
+    return path.exists() and (named or not path.is_file())
+
+
+def _replace(path: Path, write: Callable[[Path], None]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")  # film writers go by the ending
     try:
+        temporary.touch()
+        mode = temporary.stat().st_mode & 0o777
         write(temporary)
+        temporary.chmod(mode)  # safetensors, for one, replaces the file by another that only its owner can read
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _write_stream(path: Path, write: Callable[[Path], None]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / f"stream{path.suffix}"
+        write(temporary)
+        with temporary.open("rb") as source, path.open("ab") as stream:
+            shutil.copyfileobj(source, stream)
+
+
+@contextmanager
+def locked(folder: Path, what: str, *, name: str = LOCK, wait: bool = False) -> Iterator[IO[str]]:
+    """Hold a folder's lock while the block runs; the kernel releases it however the process ends.
+
+    Args:
+        folder: Made where it is missing.
+        what: What is locked, for the message: "run folder", "batch".
+        name: Name of the lock's file; it is removed at the end.
+        wait: Wait for another process instead of refusing.
+
+    Yields:
+        The open file; a child that inherits its descriptor holds the lock too.
+
+    Raises:
+        UserError: When another process holds the lock, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _acquire(folder / name, wait)
+    except BlockingIOError:
+        owner = _owner(folder / name)
+        raise UserError(f"{folder}: {what} is in use by another process{owner}; wait for it or name another") from None
+    except OSError as error:
+        raise UserError(f"{folder}: {what} cannot be written there: {error.strerror or error}") from None
+    with lock:
+        try:
+            yield lock
+        finally:
+            (folder / name).unlink(missing_ok=True)
+
+
+def _acquire(path: Path, wait: bool) -> IO[str]:
+    """Open and lock a file, again where another process has removed it in between."""
+    while True:
+        lock = path.open("a", encoding="utf-8")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            if _is_same_file(lock, path):
+                lock.truncate(0)
+                lock.write(f"process {os.getpid()}")
+                lock.flush()
+                return lock
+        except BaseException:
+            lock.close()
+            raise
+        lock.close()
+
+
+def _is_same_file(file: IO[str], path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _owner(path: Path) -> str:
+    try:
+        return f" ({path.read_text(encoding='utf-8', errors='replace').strip() or 'unknown'})"
+    except OSError:
+        return ""
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -30,7 +158,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text atomically."""
+    """Write text atomically, as UTF-8."""
 
     def write(temporary: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
@@ -39,12 +167,20 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_json(path: Path, what: str) -> Any:
-    """Read JSON; ``UserError`` names file and fault."""
+    """Read JSON.
+
+    Args:
+        path: The file.
+        what: What it holds, for the message.
+
+    Raises:
+        UserError: Names file and fault: missing, too large, too deep or not JSON.
+    """
     try:
         if path.stat().st_size > LARGEST_JSON:
             raise UserError(f"{path}: {what}: larger than {LARGEST_JSON} bytes")
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise UserError(f"{path}: {what} is missing") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, not JSON, a number too long
         raise UserError(f"{path}: {what} is not readable as JSON: {error}") from None

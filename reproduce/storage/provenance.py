@@ -1,4 +1,4 @@
-"""Where a result comes from: command, commit, versions, machine. Every file that a command writes carries it."""
+"""Record where a result comes from: command, commit, versions, machine. Every file that a command writes carries it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.storage.files import read_json, write_json
+from reproduce.storage.files import locked, read_json, write_json
+from reproduce.storage.paths import INSTALLED, ROOT
 
 PACKAGES = ("pybullet", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "lunar-rescue")
 
 
 def provenance() -> dict[str, Any]:
-    """Command, commit, versions, machine and time, as plain data."""
+    """Return command, commit, versions, machine and time as plain data."""
     return {
         "command": command_line(),
         "commit": commit(),
@@ -37,26 +38,33 @@ def provenance() -> dict[str, Any]:
 
 def record_origin(path: Path) -> None:
     """Note in ``origins.json`` beside a file which command made it, for formats that cannot carry it themselves."""
-    register = path.parent / "origins.json"
-    known = read_json(register, "register of origins") if register.is_file() else {}
-    write_json(register, {**known, path.name: provenance()})
+    register, origin = path.parent / "origins.json", provenance()
+    with locked(path.parent, "register of origins", name=".origins.lock", wait=True):
+        known = read_json(register, "register of origins") if register.is_file() else {}
+        write_json(register, {**known, path.name: origin})
 
 
 def command_line() -> str:
-    """The command as a user would type it in the checkout: no path of the machine's own."""
+    """Return the command as a user would type it in the checkout: no path of the machine's own."""
     name = Path(sys.argv[0]).name
-    root = f"{Path(__file__).resolve().parents[2]}{os.sep}"
-    arguments = [argument.replace(root, "") for argument in sys.argv[1:]]
+    arguments = [argument.replace(f"{ROOT}{os.sep}", "") for argument in sys.argv[1:]]
     return shlex.join(["reproduce" if name in ("__main__.py", "reproduce") else name, *arguments])
 
 
-def commit() -> str:
-    """Commit of the checkout; ``+changes`` where more than results and pages differ, ``unknown`` outside one."""
-    root = Path(__file__).resolve().parents[2]
+def commit(root: Path = INSTALLED) -> str:
+    """Return the checkout's commit.
+
+    ``+changes`` follows where more than results and pages differ. ``unknown`` is what stands for no checkout: the
+    package may be installed inside somebody else's repository, and git's variables may name another one.
+    """
+    if not (root / ".git").exists():
+        return "unknown"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
 
     def git(*arguments: str) -> str:
-        done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True)
-        return done.stdout.strip()
+        # Without the optional locks, a user's own `git add` never fails on ours.
+        command = ["git", "--no-optional-locks", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()
 
     try:
         changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")

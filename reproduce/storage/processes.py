@@ -1,0 +1,158 @@
+"""Processes that end together: workers with whoever started them, and a command, in good order, by a signal.
+
+Ctrl-C and a terminal that closes reach a whole group of processes at once. Workers leave such signals to the command,
+which stops them, says one line and ends with code 128 plus the signal's number.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import forkserver, resource_tracker
+from types import FrameType
+from typing import Any, TypeVar
+
+from reproduce.storage.errors import RunFailedError
+
+#: Signals by which people, terminals, schedulers and ``timeout`` ask a command to end.
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
+_LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
+_PR_SET_PDEATHSIG = 1
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def die_with_parent() -> None:
+    """Kill this worker as soon as the process that started it has ended, however it did; a worker calls this first.
+
+    A worker of ``multiprocessing`` is a child of the fork server, so the kernel's own notice of a parent's death would
+    be of the wrong process. What a worker has of its starter is the end of a pipe that closes with it, which a thread
+    watches. In a process that ``multiprocessing`` did not start, this does nothing.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    for number in _TO_A_GROUP:
+        signal.signal(number, signal.SIG_IGN)
+
+    def watch() -> None:
+        parent.join()  # returns at once where the parent has gone already
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def end_with(parent: int, by: int = signal.SIGKILL) -> None:
+    """Have the kernel send this process a signal when its parent ends: ``preexec_fn=partial(end_with, os.getpid())``.
+
+    Args:
+        parent: Process that starts this one; it may have ended before it could be watched.
+        by: The signal; one that can be caught leaves time to stop further processes.
+    """
+    _LIBC.prctl(_PR_SET_PDEATHSIG, int(by), 0, 0, 0)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), by)
+
+
+def start_fork_server() -> None:
+    """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+    try:
+        resource_tracker.ensure_running()  # ends with SIGINT unblocked
+        signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
+
+
+def map_in_processes(
+    job: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int | None = None,
+    prepare: Callable[..., object] | None = None,
+    arguments: tuple[Any, ...] = (),
+) -> Iterator[Result]:
+    """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
+
+    Args:
+        job: Called in a worker; can be pickled.
+        items: What it is called with.
+        workers: Processes; None is one a core.
+        prepare: Called with ``arguments`` in each worker before its first job.
+        arguments: Can be pickled.
+
+    Raises:
+        RunFailedError: When a worker was killed or crashed.
+    """
+    start_fork_server()
+    context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers or len(os.sched_getaffinity(0)), context, _begin, (prepare, arguments))
+    with pool:
+        try:
+            for answer in [pool.submit(job, item) for item in items]:
+                yield answer.result()
+        except BaseException as error:
+            # Jobs are not cancelled but lose their workers: in Python 3.11 a pool that breaks with cancelled jobs in
+            # it ends in an InvalidStateError of its own.
+            for process in set(multiprocessing.active_children()) - running:
+                process.kill()
+            if isinstance(error, BrokenProcessPool):
+                raise RunFailedError("a worker process was killed or crashed") from None
+            raise
+
+
+def _begin(prepare: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
+    die_with_parent()
+    if prepare is not None:
+        prepare(*arguments)
+
+
+@dataclass
+class Stop:
+    """Which signal asked this process to end.
+
+    Attributes:
+        number: The signal's, or 0 while none came.
+    """
+
+    number: int = 0
+
+    @property
+    def code(self) -> int:
+        """Exit code by the shell's convention, such as 130 for Ctrl-C."""
+        return 128 + (self.number or signal.SIGINT)
+
+
+@contextmanager
+def stop_signals() -> Iterator[Stop]:
+    """Turn the first signal of ``STOPPING`` into a KeyboardInterrupt, so that files are closed and workers stopped.
+
+    A second Ctrl-C ends the process at once; a second SIGTERM or SIGHUP does not, as terminals and schedulers send them
+    twice. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored.
+    """
+    stop, before = Stop(), {number: signal.getsignal(number) for number in STOPPING}
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop.number = number
+        for each in before:
+            signal.signal(each, signal.SIG_DFL if each == signal.SIGINT else signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield stop
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)

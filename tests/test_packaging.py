@@ -1,0 +1,137 @@
+"""What is installed from a wheel works without a checkout, and every import is declared."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+import yaml
+
+from reproduce.storage.paths import ROOT
+
+PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
+SHIPPED = ROOT / "results" / "reference" / "hrl_dcs" / "seed0"
+
+
+def run(command: list[str], folder: Path, **environment: str) -> str:
+    """Run a command in a folder with nothing of this checkout around it; return what it prints."""
+    surroundings = {"PATH": "/usr/bin:/bin", "HOME": str(folder), "OMP_NUM_THREADS": "1", **environment}
+    done = subprocess.run(command, cwd=folder, env=surroundings, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of what is built from, as building writes beside it."""
+    folder = tmp_path_factory.mktemp("packaging") / "source tree"
+    for name in ("envs", "reproduce"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    for name in ("pyproject.toml", "README.md", "LICENSE", "requirements.lock", "environment.yml"):
+        shutil.copy(ROOT / name, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path) -> Path:
+    offline = ["--no-deps", "--no-build-isolation", "--no-index"]
+    run([*PIP, "wheel", *offline, "-w", str(source.parent), str(source)], source.parent)
+    (built,) = source.parent.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path) -> Path:
+    """Return a folder with the packages and nothing else; their dependencies are those of this Python."""
+    bare = wheel.parent / "bare folder"
+    run([*PIP, "install", "--no-deps", "--no-index", "--target", str(bare), str(wheel)], wheel.parent)
+    return bare
+
+
+@pytest.mark.process
+def test_a_wheel_holds_every_module_and_data_file(source: Path, wheel: Path) -> None:
+    roots = {"lunar_rescue": source / "envs", "reproduce": source}
+    files = {p.relative_to(root).as_posix() for n, root in roots.items() for p in (root / n).rglob("*") if p.is_file()}
+    with zipfile.ZipFile(wheel) as archive:
+        packed = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert packed == files
+    assert {"reproduce/experiments/workflow/Snakefile", "lunar_rescue/data/robot.urdf"} <= packed
+
+
+@pytest.mark.process
+@pytest.mark.timeout(300)
+def test_an_installed_wheel_works_in_an_empty_folder(installed: Path, tmp_path: Path) -> None:
+    def reproduce(*arguments: str) -> str:
+        command = [sys.executable, str(installed / "bin" / "reproduce"), *arguments]
+        return run(command, tmp_path, PYTHONPATH=str(installed))
+
+    before = sorted(installed.iterdir())
+    assert "evaluate" in reproduce("--help")
+    shutil.copytree(SHIPPED, tmp_path / "shipped policy")
+    assert re.search(r"hrl_dcs: \d of 4 rescued", reproduce("evaluate", "shipped policy", "--tests", "4"))
+    (tmp_path / "notebooks").mkdir()
+    shutil.copy(ROOT / "notebooks" / "02_reward_design.ipynb", tmp_path / "notebooks")
+    reproduce("notebooks", "--preset", "smoke", "--only", "02", "--no-report")
+    assert (tmp_path / "results" / "notebooks" / "02_reward_design.ipynb").is_file()
+    assert sorted(installed.iterdir()) == before, "nothing is written beside the packages"
+
+
+def _imports(folder: Path) -> set[str]:
+    """Return the top-level names that the modules of a folder import, inside functions too."""
+    names: set[str] = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                names.add(node.module)
+    return {name.split(".")[0] for name in names} - set(sys.stdlib_module_names)
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"), [(("envs", "reproduce"), ("peers",)), (("tests", "examples"), ("dev", "peers"))]
+)
+def test_every_import_is_declared(folders: tuple[str, ...], extras: tuple[str, ...]) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    requirements = project["dependencies"] + [r for extra in extras for r in project["optional-dependencies"][extra]]
+    declared = {_normal(re.split(r"[<>=!~\[; ]", requirement)[0]) for requirement in requirements}
+    distributions = importlib.metadata.packages_distributions()
+    ours = {"lunar_rescue", "reproduce"} | {path.stem for path in (ROOT / "tests").glob("*.py")}
+    missing = {
+        name
+        for folder in folders
+        for name in _imports(ROOT / folder) - ours
+        if not {_normal(distribution) for distribution in distributions.get(name, [name])} & declared
+    }
+    assert not missing
+
+
+def test_the_lock_holds_a_version_of_every_dependency() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").split()
+    names = [line.split("==")[0] for line in lines]
+    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    assert names == sorted(names) and all(line.count("==") == 1 for line in lines)
+    assert {_normal(re.split(r"[<>=!~\[; ]", w)[0]) for w in wanted} <= {_normal(name) for name in names}
+
+
+@pytest.mark.process
+def test_pip_takes_what_conda_hands_to_it(source: Path) -> None:
+    """Conda writes the pip lines of environment.yml to a file beside it and starts ``pip install -r`` there."""
+    environment = yaml.safe_load((source / "environment.yml").read_text(encoding="utf-8"))
+    (lines,) = [part["pip"] for part in environment["dependencies"] if isinstance(part, dict)]
+    (source / "condaenv.requirements.txt").write_text("\n".join(lines), encoding="utf-8")
+    offline = ["--dry-run", "--no-deps", "--no-build-isolation", "--no-index"]
+    run([*PIP, "install", *offline, "-r", "condaenv.requirements.txt"], source)

@@ -1,0 +1,93 @@
+"""Processes are ended by real signals: what ends with them, which code they leave, and what they say."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
+
+from reproduce.storage.errors import RunFailedError
+from reproduce.storage.processes import end_with, map_in_processes
+
+#: Starts two workers that sleep for ten minutes each, and ends as a command does.
+COMMAND = """
+import os, sys, time
+from pathlib import Path
+from reproduce.storage.processes import map_in_processes, stop_signals
+
+def job(folder):
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with stop_signals() as stop:
+        try:
+            list(map_in_processes(job, [sys.argv[1]] * 8, workers=2))
+        except KeyboardInterrupt:
+            sys.exit(stop.code)
+"""
+
+
+def start(folder: Path) -> subprocess.Popen[str]:
+    """Start the command and wait until both workers are at work."""
+    (folder / "seen").mkdir()
+    (folder / "command.py").write_text(COMMAND)
+    arguments = [sys.executable, str(folder / "command.py"), str(folder / "seen")]
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    wait_for(lambda: len(list((folder / "seen").iterdir())) == 2)
+    return process
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("whole_group", [False, True])
+def test_a_signal_ends_a_command_and_its_workers_without_a_word(number: int, whole_group: bool, tmp_path: Path) -> None:
+    process = start(tmp_path)
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    said, _ = process.communicate(timeout=20)
+    assert (process.returncode, said) == (128 + number, "")
+    assert nobody_left(process.pid)
+
+
+def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path) -> None:
+    process = start(tmp_path)
+    assert len(alive(process.pid)) >= 4  # the command, the fork server, two workers
+    process.kill()
+    process.wait()
+    assert nobody_left(process.pid)
+
+
+def test_a_process_without_python_ends_with_its_parent_too(tmp_path: Path) -> None:
+    code = (
+        "import os, subprocess, time; from functools import partial; from reproduce.storage.processes import end_with\n"
+        "subprocess.Popen(['sleep', '600'], preexec_fn=partial(end_with, os.getpid())); print('go', flush=True)\n"
+        "time.sleep(600)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None and process.stdout.readline() == "go\n"
+    assert len(alive(process.pid)) == 2
+    process.kill()
+    process.wait()
+    assert nobody_left(process.pid)
+
+
+def test_a_process_whose_parent_has_gone_before_it_began_ends_at_once() -> None:
+    somebody_else = os.getppid()
+    process = subprocess.Popen(["sleep", "600"], preexec_fn=partial(end_with, somebody_else))
+    assert process.wait(timeout=20) == -signal.SIGKILL
+
+
+def test_answers_come_in_order_and_a_worker_that_dies_is_named() -> None:
+    assert list(map_in_processes(abs, [-3, 2, -1], workers=2)) == [3, 2, 1]
+    with pytest.raises(RunFailedError, match="worker process was killed or crashed"):
+        list(map_in_processes(os._exit, [7, 7, 7], workers=2))
+    with pytest.raises(ValueError, match="negative"):
+        list(map_in_processes(time.sleep, [0.0, -1.0, 600.0], workers=2))
