@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import warnings
 from dataclasses import replace
@@ -10,60 +11,89 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
-from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.storage.errors import RunFailedError, StoppedError, UserError
+from reproduce.storage.files import check_writable
+from reproduce.storage.processes import Stop, stop_signals
 
 # Typer may bring a Click of its own, so the base of its errors is looked up and not imported.
 CommandLineError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
+
+class Commands(typer.core.TyperGroup):
+    """All commands; an interrupted one keeps its last words, which Typer would drop."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the arguments name."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            raise StoppedError(str(error) or "interrupted") from None
+
+
 app = typer.Typer(
+    cls=Commands,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
 )
 
+AS_NEEDED = "begin, go on, or do nothing where this training has ended; another configuration's files are set aside"
+
+
+def _path(text: str) -> Path:
+    """Read a path; an empty one, as of a variable that is not set, would be taken for the current folder."""
+    if not text.strip():
+        raise typer.BadParameter("expected a path, got an empty one")
+    return Path(text)
+
+
+def _file(text: str) -> Path:
+    """Read the path of a file to write, and refuse it before the work begins where it cannot be written."""
+    check_writable(path := _path(text))
+    return path
+
+
+def _folder(words: str) -> Any:
+    return typer.Option(parser=_path, metavar="DIR", help=words)
+
+
 Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
-JsonFile = Annotated[Path | None, typer.Option("--json", help="also write the result to this file")]
+Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")]
+Tests = Annotated[int, typer.Option(min=1, help="number of scenes")]
+FirstSeed = Annotated[int, typer.Option(min=0, help="first scene; test scenes begin at 0, held-out ones at 2000000")]
+SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
+Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
+Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]
+Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
+JsonFile = Annotated[Path | None, typer.Option("--json", parser=_file, metavar="FILE", help="also write a file")]
 
 
 @app.command()
 def train(
     method: Annotated[str, typer.Argument(help="a method that learns, such as hrl_dcs")],
-    out: Annotated[Path, typer.Option(help="run folder to write")],
+    out: Annotated[Path, _folder("folder to write")],
     preset: Preset = "laptop",
-    seed: Annotated[int, typer.Option(help="seed of networks, scenes and minibatches")] = 0,
-    steps: Annotated[int | None, typer.Option(help="environment steps instead of the preset's")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="seed of networks, scenes and minibatches")] = 0,
+    steps: Annotated[int | None, typer.Option(min=1, help="environment steps instead of the preset's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes: one posture, no rocks, light astronaut")] = False,
-    tensorboard: Annotated[Path | None, typer.Option(help="folder for TensorBoard's logs, too")] = None,
-    as_needed: Annotated[
-        bool,
-        typer.Option(
-            "--as-needed",
-            help="begin, or go on from a checkpoint, or do nothing where the same training has ended; what another "
-            "configuration left is set aside",
-        ),
-    ] = False,
+    tensorboard: Annotated[Path | None, _folder("for TensorBoard's logs, too")] = None,
+    as_needed: Annotated[bool, typer.Option("--as-needed", help=AS_NEEDED)] = False,
 ) -> None:
     """Train a method and write a run folder."""
+    if as_needed and (resume or tensorboard):
+        raise UserError("--as-needed: goes on by itself and keeps no other log; leave --resume, --tensorboard out")
     from reproduce.experiments.methods import get_method
     from reproduce.experiments.train import train as run
     from reproduce.experiments.train import train_as_needed
 
     chosen = get_method(method)
     config = chosen.config(preset)
-    if steps is not None:
-        if steps < 1:
-            raise UserError(f"--steps: expected at least 1, got {steps}")
-        config = replace(config, steps=steps)
-    if easy:
-        config = replace(config, scenes="easy")
-    if seed < 0:
-        raise UserError(f"--seed: expected at least 0, got {seed}")
+    config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
     if as_needed:
-        if resume or tensorboard:
-            raise UserError("--as-needed: goes on by itself and keeps no other log; leave --resume, --tensorboard out")
         train_as_needed(chosen, config, seed, out, preset)
     else:
         run(chosen, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
@@ -72,14 +102,10 @@ def train(
 
 @app.command()
 def evaluate(
-    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
-    tests: Annotated[int, typer.Option(help="number of scenes")] = 1000,
-    first_seed: Annotated[
-        int, typer.Option(help="seed of the first scene; test scenes begin at 0, held-out ones at 2000000")
-    ] = 0,
-    ablation: Annotated[
-        str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln, for a policy of two layers")
-    ] = None,
+    run: Policy,
+    tests: Tests = 1000,
+    first_seed: FirstSeed = 0,
+    ablation: Annotated[str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     json: JsonFile = None,
 ) -> None:
@@ -88,9 +114,9 @@ def evaluate(
     from reproduce.storage.files import write_json
 
     result = test(run, tests, first_seed, ablation=ablation, easy=easy)
+    _print_evaluation(result)
     if json:
         write_json(json, result)
-    _print_evaluation(result)
 
 
 def _print_evaluation(result: dict[str, Any]) -> None:
@@ -99,25 +125,20 @@ def _print_evaluation(result: dict[str, Any]) -> None:
         f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]"
     )
     typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
-    for title, key in (
-        ("task", "by_task"),
-        ("ground", "by_terrain"),
-        ("mass", "by_mass_class"),
-        ("posture", "by_posture"),
-    ):
-        for name, counts in result[key].items():
-            typer.echo(f"  {title} {name}: {counts['successes']} of {counts['tests']}")
+    for group in ("task", "terrain", "mass_class", "posture"):
+        for name, counts in result[f"by_{group}"].items():
+            typer.echo(f"  {group.replace('_', ' ')} {name}: {counts['successes']} of {counts['tests']}")
     for word, count in result["failures"].items():
         typer.echo(f"  failed by {word}: {count}")
 
 
 @app.command()
 def replay(
-    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
-    out: Annotated[Path, typer.Option(help=".mp4, .gif, .png (a strip) or .html (to look at from all sides)")],
-    seed: Annotated[int, typer.Option(help="seed of the scene")] = 0,
-    posture: Annotated[str | None, typer.Option(help="draw the scene with this posture")] = None,
-    task: Annotated[str | None, typer.Option(help="draw the scene with this task")] = None,
+    run: Policy,
+    out: Annotated[Path, typer.Option(parser=_file, metavar="FILE", help=".mp4, .gif, .png (a strip) or .html (3D)")],
+    seed: SceneSeed = 0,
+    posture: Posture = None,
+    task: Task = None,
     overlay: Annotated[bool, typer.Option(help="draw targets, sub-goals, mark points and distances")] = True,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
@@ -133,8 +154,8 @@ def replay(
 @app.command()
 def export(
     method: Annotated[str, typer.Argument(help="a method with a trained reference run, such as hrl_dcs")],
-    out: Annotated[Path, typer.Option(help="folder to write; must not be there, or be empty")],
-    seed: Annotated[int | None, typer.Option(help="training seed; the first one without it")] = None,
+    out: Annotated[Path, _folder("folder to write")],
+    seed: Annotated[int | None, typer.Option(min=0, help="training seed; the first one without it")] = None,
 ) -> None:
     """Write a reference policy with its model card to a folder that can be uploaded to a model hub."""
     from reproduce.report.cards import export as write
@@ -144,11 +165,11 @@ def export(
 
 @app.command()
 def watch(
-    run: Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")],
-    seed: Annotated[int, typer.Option(help="seed of the first scene")] = 0,
-    rescues: Annotated[int, typer.Option(help="how many to show; 0 goes on until the window is closed")] = 0,
-    posture: Annotated[str | None, typer.Option(help="draw scenes with this posture")] = None,
-    task: Annotated[str | None, typer.Option(help="draw scenes with this task")] = None,
+    run: Policy,
+    seed: SceneSeed = 0,
+    rescues: Annotated[int, typer.Option(min=0, help="how many to show; 0 goes on until the window is closed")] = 0,
+    posture: Posture = None,
+    task: Task = None,
 ) -> None:
     """Watch rescues in PyBullet's window, in real time; needs a display."""
     from reproduce.report.watch import watch as show
@@ -165,7 +186,7 @@ def notebooks(
         typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME"),
     ] = None,
     report: Annotated[bool, typer.Option(help="build the report afterwards")] = True,
-    replays: Annotated[bool, typer.Option(help="with 3D replays in it")] = True,
+    replays: Replays = True,
 ) -> None:
     """Run the notebooks with papermill, in order, and build the report."""
     from reproduce.report.notebooks import run_notebooks
@@ -176,7 +197,7 @@ def notebooks(
 
 
 @app.command("report")
-def build(replays: Annotated[bool, typer.Option(help="with 3D replays in it")] = True) -> None:
+def build(replays: Replays = True) -> None:
     """Build the report from the notebooks that were run."""
     _build_report(replays)
 
@@ -193,13 +214,11 @@ def batch(
     preset: Preset = "smoke",
     methods: Annotated[str, typer.Option(help="names between commas, or all")] = "all",
     seeds: Annotated[str, typer.Option(help="of the methods that learn, such as 0-4 or 0,2,7")] = "0",
-    out: Annotated[Path | None, typer.Option(help="folder; results/batch/PRESET without it")] = None,
+    out: Annotated[Path | None, _folder("results/batch/PRESET without it")] = None,
     profile: Annotated[str, typer.Option(help="local, slurm, or a folder with a Snakemake profile")] = "local",
-    slots: Annotated[int | None, typer.Option(help="jobs at once; one for two cores without it")] = None,
-    threads: Annotated[int | None, typer.Option(help="cores of a job; cores by slots without it")] = None,
-    until: Annotated[
-        str, typer.Option(help="report; tables, which runs no notebooks; or policies, which only trains")
-    ] = "report",
+    slots: Annotated[int | None, typer.Option(min=1, help="jobs at once; one for two cores without it")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="cores of a job; cores by slots without it")] = None,
+    until: Annotated[str, typer.Option(help="report, tables (without notebooks) or policies (only train)")] = "report",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what is left")] = False,
 ) -> None:
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
@@ -208,17 +227,14 @@ def batch(
     from reproduce.experiments.workflow.plan import Plan, cores, parse_seeds
     from reproduce.storage.paths import RESULTS
 
-    slots = default_slots() if slots is None else slots
-    threads = max(1, cores() // max(1, slots)) if threads is None else threads
-    if threads < 1:
-        raise UserError(f"--threads: expected at least 1, got {threads}")
+    slots = slots or default_slots()
+    threads = threads or max(1, cores() // slots)
     names = list(METHODS) if methods == "all" else [name.strip() for name in methods.split(",")]
     folder = RESULTS / "batch" / preset if out is None else out
     run_batch(Plan.make(preset, names, parse_seeds(seeds), threads), folder, profile, slots, until, dry_run, typer.echo)
     if not dry_run:
-        typer.echo(
-            f"{folder / {'report': 'report/index.html', 'tables': 'tables', 'policies': 'reference'}[until]}: done"
-        )
+        target = {"report": "report/index.html", "tables": "tables", "policies": "reference"}[until]
+        typer.echo(f"{folder / target}: done")
 
 
 @app.command()
@@ -227,8 +243,8 @@ def claims(json: JsonFile = None) -> None:
     from reproduce.analysis.claims import compute_claims, print_claims, write_claims
 
     table = compute_claims()
-    write_claims(table, json)
     print_claims(table)
+    write_claims(table, json)
 
 
 @app.command()
@@ -258,19 +274,16 @@ def bench(
     from reproduce.storage.files import write_json
 
     result = measure(part)
-    if json:
-        write_json(json, result)
     for name, value in result.items():
         typer.echo(f"{name}: {value}")
+    if json:
+        write_json(json, result)
 
 
 @app.command()
 def soak(
-    steps: Annotated[int, typer.Option(help="random steps, shared among all cores")] = 1_000_000,
-    json: Annotated[
-        Path | None,
-        typer.Option("--json", help="write the result to this file; a run of a million steps writes results/soak.json"),
-    ] = None,
+    steps: Annotated[int, typer.Option(min=1, help="random steps, shared among all cores")] = 1_000_000,
+    json: JsonFile = None,
 ) -> None:
     """Step all scenes with random actions: nothing may raise, every number is finite, memory does not grow."""
     from reproduce.experiments.soak import run_soak
@@ -285,9 +298,9 @@ def soak(
 
 @app.command()
 def solvable(
-    tests: Annotated[int, typer.Option(help="number of scenes")] = 500,
-    first_seed: Annotated[int, typer.Option(help="seed of the first scene; test scenes begin at 0")] = 0,
-    variants: Annotated[int, typer.Option(help="most lifts or turns tried out for a scene")] = 40,
+    tests: Tests = 500,
+    first_seed: FirstSeed = 0,
+    variants: Annotated[int, typer.Option(min=1, help="most lifts or turns tried out for a scene")] = 40,
     json: JsonFile = None,
 ) -> None:
     """Measure which scenes can be solved at all, by a planner that knows everything; writes results/solvability/."""
@@ -299,8 +312,8 @@ def solvable(
 @app.command()
 def tune(
     method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
-    steps: Annotated[int, typer.Option(help="environment steps of a trial")] = 300_000,
-    tests: Annotated[int, typer.Option(help="easy validation scenes after each")] = 100,
+    steps: Annotated[int, typer.Option(min=1, help="environment steps of a trial")] = 300_000,
+    tests: Annotated[int, typer.Option(min=1, help="easy validation scenes after each")] = 100,
 ) -> None:
     """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
     from reproduce.experiments.tuning import tune as run
@@ -318,28 +331,40 @@ def methods() -> None:
 
 
 def main() -> None:
-    """Run a command; a user's mistake is one line and exit code 2."""
+    """Run a command: a user's mistake is one line and exit code 2, an interruption one line and 128 plus the signal."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed; a file that is opened later must not be taken for it
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))
     if sys.version_info[:2] != (3, 11) or not sys.platform.startswith("linux"):
         found = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {sys.platform}"
         sys.exit(_complain(f"needs Python 3.11 on Linux, as PyBullet has no wheels beyond it; this is {found}"))
     warnings.filterwarnings("ignore", category=UserWarning, module="gymnasium")
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
+    with stop_signals() as stop:
+        code = _run(stop)
+    sys.exit(code)
+
+
+def _run(stop: Stop) -> int:
     try:
         code = app(standalone_mode=False)
-    except CommandLineError as error:
-        code = _complain(error.format_message())
-    except (UserError, ValueError) as error:
-        code = _complain(str(error))
-    except RunFailedError as error:
-        code = _complain(str(error)) and 1
-    except (KeyboardInterrupt, typer.Abort):
-        code = _complain("interrupted; an unfinished training goes on with --resume") and 130
-    sys.exit(code if isinstance(code, int) else 0)
+        sys.stdout.flush()
+    except (KeyboardInterrupt, StoppedError, typer.Abort) as error:
+        return _complain(str(error) or "interrupted", stop.code)
+    except BrokenPipeError:  # who read the output has had enough; what is left goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (CommandLineError, UserError, RunFailedError, ValueError, OSError) as error:
+        if stop.number:  # a signal to the whole group may end a worker before it is handled here
+            return _complain("interrupted", stop.code)
+        message = error.format_message() if isinstance(error, CommandLineError) else str(error)
+        return _complain(message, 1 if isinstance(error, RunFailedError | OSError) else 2)
+    return code if isinstance(code, int) else 0  # --help has a code, commands have none
 
 
-def _complain(message: str) -> int:
+def _complain(message: str, code: int = 2) -> int:
     print(f"reproduce: {' '.join(message.split())}", file=sys.stderr)
-    return 2
+    return code
 
 
 if __name__ == "__main__":

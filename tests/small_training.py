@@ -1,4 +1,4 @@
-"""A training of some seconds with checkpoints, to be killed: ``python tests/small_training.py FOLDER``."""
+"""``reproduce train`` with a training of some seconds and checkpoints, to be killed: ``small_training.py FOLDER``."""
 
 from __future__ import annotations
 
@@ -6,20 +6,19 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from reproduce.experiments.methods import METHODS
-from reproduce.experiments.train import train
+from reproduce.__main__ import main
 from reproduce.learning.config import PRESETS
-from reproduce.storage.checkpoint import has_checkpoint
 
 
-def main(folder: Path) -> None:
-    """Begin, or go on from the last checkpoint."""
+def train(folder: str, *options: str) -> None:
+    """Call the command as a user would, with a smaller preset."""
     smoke = PRESETS["smoke"]
-    config = replace(
-        smoke, steps=10 * 4 * 64, n_envs=4, checkpoint_every=2, low=replace(smoke.low, batch_size=128, n_epochs=2)
-    )
-    train(METHODS["hrl_dcs"], config, 7, folder, "smoke", resume=has_checkpoint(folder), quiet=True)
+    low = replace(smoke.low, batch_size=128, n_epochs=2)
+    PRESETS["smoke"] = replace(smoke, steps=10 * 4 * 64, n_envs=4, checkpoint_every=2, low=low)
+    sys.argv = ["reproduce", "train", "hrl_dcs", "--preset", "smoke", "--seed", "7", "--out", folder, *options]
+    main()
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    resume = (Path(sys.argv[1]) / "config.json").is_file()
+    train(sys.argv[1], *(["--resume"] if resume else []))

@@ -1,9 +1,10 @@
-"""A training that is killed at any moment, and gone on with, ends in the weights of one that was not."""
+"""A training that is killed or interrupted at any moment, and gone on with, ends in the weights of one that was not."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.storage.checkpoint import NAME
 
@@ -20,30 +21,37 @@ SCRIPT = Path(__file__).parent / "small_training.py"
 KILLS = 20
 
 
-def _start(folder: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, str(SCRIPT), str(folder)], start_new_session=True)
+def _start(folder: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, str(SCRIPT), str(folder)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def _finish(folder: Path) -> None:
+    process = _start(folder)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 0, said
 
 
 def _digest(folder: Path) -> str:
     return hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
 
 
-def _wait_for_nobody(session: int, seconds: float = 20.0) -> list[int]:
-    end = time.monotonic() + seconds
-    while alive(session) and time.monotonic() < end:
-        time.sleep(0.1)
-    return alive(session)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, float]:
+    """Weights of a training that nobody disturbs, and how long one takes."""
+    lasted, digests = np.inf, set()  # the shorter of two, as the first one may have been held up
+    for name in ("whole", "again"):
+        folder, begun = tmp_path_factory.mktemp("kills") / name, time.monotonic()
+        _finish(folder)
+        lasted = min(lasted, time.monotonic() - begun)
+        digests.add(_digest(folder))
+    (digest,) = digests
+    return digest, float(lasted)
 
 
 @pytest.mark.slow
-def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
-    lasted = np.inf  # the shorter of two, as the first one may have been held up
-    for name in ("whole", "again"):
-        begun = time.monotonic()
-        assert _start(tmp_path / name).wait(timeout=120) == 0
-        lasted = min(lasted, time.monotonic() - begun)
-    expected = _digest(tmp_path / "whole")
-    assert _digest(tmp_path / "again") == expected
+def test_twenty_kills_at_random_moments_change_nothing(whole: tuple[str, float], tmp_path: Path) -> None:
+    expected, lasted = whole
     rng = np.random.default_rng(0)
     interrupted = resumed = 0
     for number in range(KILLS):
@@ -52,22 +60,59 @@ def test_twenty_kills_at_random_moments_change_nothing(tmp_path: Path) -> None:
         time.sleep(float(rng.uniform(0.2, 0.98)) * lasted)
         interrupted += process.poll() is None
         process.kill()
-        process.wait()
-        assert not _wait_for_nobody(process.pid), "workers outlived a training that was killed"
+        process.communicate()
+        assert nobody_left(process.pid), "workers outlived a training that was killed"
         resumed += (folder / NAME).is_file()
         if not (folder / "policy.json").is_file():  # else it had ended before the kill
-            assert _start(folder).wait(timeout=120) == 0
+            _finish(folder)
         assert _digest(folder) == expected, number
     assert interrupted >= KILLS - 2 and resumed >= KILLS // 4  # else nothing was tested
 
 
-@pytest.mark.slow
-def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "whole_group", "awaited"),
+    [
+        pytest.param(signal.SIGINT, True, NAME, id="Ctrl-C"),
+        pytest.param(
+            signal.SIGINT, True, "config.json", id="Ctrl-C before the first checkpoint", marks=pytest.mark.slow
+        ),
+        pytest.param(signal.SIGTERM, True, NAME, id="timeout", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, NAME, id="SIGTERM", marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, True, NAME, id="a closed terminal", marks=pytest.mark.slow),
+    ],
+)
+def test_an_interrupted_training_says_how_to_go_on_and_does(
+    number: int, whole_group: bool, awaited: str, whole: tuple[str, float], tmp_path: Path
+) -> None:
     process = _start(tmp_path / "run")
-    end = time.monotonic() + 60.0
-    while not (tmp_path / "run" / NAME).is_file() and time.monotonic() < end:  # it is well under way then
-        time.sleep(0.05)
+    assert wait_for((tmp_path / "run" / awaited).is_file)  # it is well under way then
     assert len(alive(process.pid)) > 1
-    os.killpg(process.pid, signal.SIGINT)
-    assert process.wait(timeout=30) != 0
-    assert not _wait_for_nobody(process.pid)
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    assert nobody_left(process.pid)
+    lines = [line for line in re.split(r"[\r\n]", said) if line.strip() and "step/s" not in line]  # no progress bar
+    where = r"update \d+" if awaited == NAME else "(update 2|the beginning)"
+    assert len(lines) == 1, said
+    assert re.fullmatch(rf"reproduce: .*/run: interrupted after update \d+; --resume .* goes on from {where}", lines[0])
+    assert not (tmp_path / "run" / "policy.json").exists()
+    _finish(tmp_path / "run")
+    assert _digest(tmp_path / "run") == whole[0]
+
+
+def test_a_second_training_in_one_folder_is_refused_at_once(tmp_path: Path) -> None:
+    first = _start(tmp_path / "run")
+    assert wait_for((tmp_path / "run" / "config.json").is_file)
+    before = (tmp_path / "run" / "config.json").stat().st_mtime_ns
+    command = f"{sys.executable} -m reproduce train ppo_lstm --preset smoke --out {tmp_path / 'run'}".split()
+    second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert second.returncode == 2 and "run: run folder is in use by another process" in second.stderr
+    assert len(second.stderr.splitlines()) == 1
+    assert (tmp_path / "run" / "config.json").stat().st_mtime_ns == before
+    first.kill()
+    first.communicate()
+    assert nobody_left(first.pid)
+    third = _start(tmp_path / "run")  # the lock went with the process that held it
+    assert wait_for((tmp_path / "run" / NAME).is_file)
+    third.kill()
+    third.communicate()

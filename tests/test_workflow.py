@@ -164,6 +164,6 @@ def test_training_as_needed_begins_goes_on_ends_and_sets_aside(tmp_path: Path) -
     first = go(512)
     assert go(512) == first
     assert go(640) != first
-    old = tmp_path / "superseded" / "ppo_lstm-seed0-1"
+    old = folder / "superseded" / "1"
     assert read_json(old / "run.json", "run")["steps"] == 512
     assert read_json(folder / "config.json", "configuration")["training"]["steps"] == 640

@@ -1,12 +1,17 @@
-"""Trains a method into a run folder: progress bar, progress.csv, checkpoints, provenance."""
+"""Trains a method into a run folder: progress bar, progress.csv, checkpoints, provenance.
+
+A training that was interrupted goes on from its last checkpoint, or from its beginning where there was none yet, and
+ends as if nothing had happened. An interruption itself writes no checkpoint: environments begin anew at each one, so a
+checkpoint that was not planned would change everything after it.
+"""
 
 from __future__ import annotations
 
-import fcntl
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +23,14 @@ from tqdm.auto import tqdm
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.methods import Method, Training, export_policy
 from reproduce.learning.config import TrainingConfig, to_dict
+from reproduce.learning.workers import WorkerError
 from reproduce.storage.checkpoint import Progress, delete_checkpoint, has_checkpoint, load_checkpoint, save_checkpoint
-from reproduce.storage.errors import UserError
-from reproduce.storage.files import read_json, write_atomically, write_json
+from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text
 from reproduce.storage.provenance import provenance
 
-LOCK = ".lock"
+WHAT = "run folder"
+START = Progress(0, 0, 0.0)
 THREADS = 1  # for networks of this size one thread is faster than two (measured), and workers need the other core
 
 
@@ -43,59 +50,26 @@ def train(
         method: What to train.
         config: Its configuration.
         seed: Of networks, scenes and minibatches.
-        folder: To write.
+        folder: The run folder; no other training may be writing it.
         preset: Name that the configuration comes from.
         resume: Go on from the folder's checkpoint.
         quiet: No progress bar.
         tensorboard: Folder for TensorBoard's logs of what ``progress.csv`` holds, if wanted.
 
     Raises:
-        UserError: When the method does not learn, the folder holds a finished run, or there is nothing to resume.
+        UserError: When the method does not learn, the folder holds a finished run or is another training's, or there
+            is nothing to resume.
+        RunFailedError: When a worker died or a loss is not finite.
+        KeyboardInterrupt: When interrupted, with a line that says from where the training can go on.
     """
-    if method.train is None:
-        raise UserError(f"method: {method.name!r} does not learn; evaluate it as it is")
-    _check_folder(folder, resume)
-    complete = _complete(method, config, seed, preset)
-    origin = provenance()  # of the code that trains; the checkout may move on while it does
-    th.set_num_threads(THREADS)
-    set_random_seed(seed)
-    training = method.train(config, seed)
-    try:
-        progress, rows = Progress(0, 0, 0.0), []
-        if resume:
-            progress = load_checkpoint(folder, training.learners, complete)
-            rows = _read_rows(folder, progress.update)
-            training.restart(progress.update)
-        write_json(folder / "config.json", complete)
-        with _logged(tensorboard, progress.steps) as log:
-            rows = _loop(training, complete, folder, progress, rows, quiet, log)
-        _finish(training, method, complete, folder, rows, origin)
-    finally:
-        training.close()
-    return pd.DataFrame(rows)
-
-
-@contextmanager
-def _logged(folder: Path | None, steps: int) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Something that takes rows of ``progress.csv`` and logs them for TensorBoard, or forgets them.
-
-    Args:
-        folder: Where the logs go, or None.
-        steps: Already done; what was logged beyond them before an interruption is superseded.
-    """
-    if folder is None:
-        yield lambda row: None
-        return
-    from torch.utils.tensorboard.writer import SummaryWriter  # takes seconds
-
-    def log(row: dict[str, Any]) -> None:
-        for name, value in row.items():
-            if name not in ("update", "env_steps") and math.isfinite(value):
-                part = name.split("_")[0] if "_" in name else "training"
-                writer.add_scalar(f"{part}/{name}", value, row["env_steps"])
-
-    with SummaryWriter(str(folder), purge_step=steps or None) as writer:
-        yield log
+    run = _Run(method, config, seed, preset, folder, quiet)
+    for place in (folder, tensorboard) if tensorboard else (folder,):
+        check_writable(place / "config.json")
+    if not folder.is_dir():
+        run.check(resume)  # leaves no folder behind where there is nothing to do
+    with locked(folder, WHAT):
+        run.check(resume)
+        return run.train(tensorboard)
 
 
 def train_as_needed(
@@ -104,114 +78,161 @@ def train_as_needed(
     """Train, as a step of a batch that may be started again at any time.
 
     A folder that holds the same training, finished, is left as it is; an unfinished one is gone on with. What another
-    configuration, seed or environment version left there is set aside under another name. A second process waits for
-    the first.
+    configuration, seed or environment version left there is moved to ``superseded/`` in the folder. A second process
+    waits for the first, as a training may outlive the batch that started it.
     """
-    wanted = _complete(method, config, seed, preset)
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("w", encoding="utf-8") as lock:
-        # A training may outlive the batch that started it; the kernel frees the lock when it ends, however it does.
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        there = folder / "config.json"
-        if there.is_file() and read_json(there, "configuration of a run") != wanted:
+    run = _Run(method, config, seed, preset, folder, quiet)
+    with locked(folder, WHAT, wait=True):
+        if (folder / "config.json").is_file() and run.changes():
             _set_aside(folder)
-        if (folder / "run.json").is_file():
-            return
-        train(method, config, seed, folder, preset, resume=has_checkpoint(folder), quiet=quiet)
+        if not (folder / "run.json").is_file():
+            run.train()
 
 
 def _set_aside(folder: Path) -> None:
-    """Move what is in a run folder to one beside all runs, so that nothing takes it for this one."""
-    superseded = folder.parent.parent.parent / "superseded"
+    """Move the files of a run to a numbered folder inside its own."""
     number = 1
-    while (target := superseded / f"{folder.parent.name}-{folder.name}-{number}").exists():
+    while (target := folder / "superseded" / str(number)).exists():
         number += 1
     target.mkdir(parents=True)
-    for path in list(folder.iterdir()):
-        if path.name != LOCK:
+    # The configuration goes last: as long as it is there, a set-aside that was killed is gone on with.
+    for path in sorted(folder.iterdir(), key=lambda path: path.name == "config.json"):
+        if path.is_file() and not path.name.startswith("."):  # the lock stays
             path.rename(target / path.name)
 
 
-def _complete(method: Method, config: TrainingConfig, seed: int, preset: str) -> dict[str, Any]:
-    """What ``config.json`` holds."""
-    return {
-        "method": method.name,
-        "preset": preset,
-        "seed": seed,
-        "environment_version": ENVIRONMENT_VERSION,
-        "training": to_dict(config),
-    }
+@dataclass
+class _Run:
+    """A training, how far it is, how far it was at its last checkpoint, and the folder that it writes."""
 
+    method: Method
+    config: TrainingConfig
+    seed: int
+    preset: str
+    folder: Path
+    quiet: bool = False
+    progress: Progress = START
+    saved: Progress = START
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    start: Callable[[TrainingConfig, int], Training] = field(init=False)
 
-def _check_folder(folder: Path, resume: bool) -> None:
-    if resume:
-        if not has_checkpoint(folder):
+    def __post_init__(self) -> None:
+        """Refuse a method that does not learn."""
+        if self.method.train is None:
+            raise UserError(f"method: {self.method.name!r} does not learn; evaluate it as it is")
+        self.start = self.method.train
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Content of ``config.json``."""
+        return {
+            "method": self.method.name,
+            "preset": self.preset,
+            "seed": self.seed,
+            "environment_version": ENVIRONMENT_VERSION,
+            "training": to_dict(self.config),
+        }
+
+    def changes(self) -> list[str]:
+        """Compare with the ``config.json`` that lies in the folder; return a text for each field that differs."""
+        path = self.folder / "config.json"
+        found = read_json(path, "configuration of a run")
+        if not isinstance(found, dict) or not isinstance(found.get("training"), dict):
+            raise UserError(f"{path}: expected the configuration of a training, as `reproduce train` writes it")
+        before, now = (pd.json_normalize(data).to_dict("records")[0] for data in (found, self.description))
+        names = [str(name) for name in {**before, **now} if before.get(name) != now.get(name)]
+        return [f"{name} was {before.get(name, 'not there')}, is {now.get(name, 'not there')}" for name in names]
+
+    def check(self, resume: bool) -> None:
+        """Refuse what cannot be begun, or gone on with, in the folder as it is."""
+        folder, begun, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
+        if (folder / "run.json").exists():
+            advice = "nothing is left to resume" if resume else "choose another --out"
+            raise UserError(f"{folder}: holds a finished run; {advice}")
+        if not resume and checkpoint:
+            raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
+        if resume and not begun and not checkpoint:
             raise UserError(f"{folder}: no checkpoint to resume from")
-        return
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder}: expected a folder, found a file")
-    if (folder / "run.json").exists():
-        raise UserError(f"{folder}: holds a finished run; choose another --out")
-    if has_checkpoint(folder):
-        raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
+        if resume and begun and (changes := self.changes()):
+            raise UserError(f"{folder}: --resume with another configuration: {', '.join(changes[:3])}")
+
+    def train(self, tensorboard: Path | None = None) -> pd.DataFrame:
+        """Begin, or go on from the folder's checkpoint, and train to the end."""
+        origin = provenance()  # of the code that trains; the checkout may move on while it does
+        th.set_num_threads(THREADS)
+        set_random_seed(self.seed)
+        try:
+            with closing(self.start(self.config, self.seed)) as training:
+                self._restore(training)
+                write_json(self.folder / "config.json", self.description)
+                with _tensorboard(tensorboard, self.progress.steps) as writer:
+                    self._loop(training, writer)
+                self._finish(training, origin)
+        except WorkerError as error:
+            raise RunFailedError(f"{self.folder}: {error}") from error
+        except KeyboardInterrupt:
+            done, where = self.progress.update, f"update {self.saved.update}" if self.saved.update else "the beginning"
+            words = f"interrupted after update {done}; --resume or --as-needed goes on from {where}"
+            raise KeyboardInterrupt(f"{self.folder}: {words}") from None
+        return pd.DataFrame(self.rows)
+
+    def _restore(self, training: Training) -> None:
+        if not has_checkpoint(self.folder):
+            return
+        self.progress = self.saved = load_checkpoint(self.folder, training.learners, self.description)
+        path = self.folder / "progress.csv"
+        try:
+            table = pd.read_csv(path)
+            rows: list[Any] = table[table["update"] <= self.saved.update].to_dict("records")
+        except (OSError, ValueError, KeyError) as error:
+            raise UserError(f"{path}: not readable: {error}") from None
+        self.rows = rows
+        training.restart(self.saved.update)
+
+    def _loop(self, training: Training, writer: Any) -> None:
+        total, begun = self.config.steps, time.monotonic() - self.progress.seconds
+        looks: dict[str, Any] = {"unit": "step", "unit_scale": True, "desc": self.method.name}
+        with tqdm(total=total, initial=self.progress.steps, disable=self.quiet, **looks) as bar:
+            while self.progress.steps < total:
+                row = training.update(self.progress.steps)
+                update, steps = self.progress.update + 1, self.progress.steps + training.steps_per_update
+                seconds = time.monotonic() - begun
+                self.progress = Progress(update, steps, seconds)
+                self.rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
+                if writer:
+                    _log(writer, self.rows[-1])
+                bar.update(training.steps_per_update)
+                bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
+                if update % self.config.checkpoint_every == 0 and steps < total:
+                    self._write_rows()
+                    save_checkpoint(self.folder, training.learners, self.progress, self.description)
+                    self.saved = self.progress
+                    training.restart(update)
+
+    def _finish(self, training: Training, origin: dict[str, Any]) -> None:
+        self._write_rows()
+        export_policy(self.folder, self.method, training)
+        summary = {"method": self.method.name, "seed": self.seed, "preset": self.preset, **origin}
+        done = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
+        write_json(self.folder / "run.json", {**summary, **done})  # last: a folder that holds it is a finished run
+        delete_checkpoint(self.folder)
+
+    def _write_rows(self) -> None:
+        text = pd.DataFrame(self.rows).to_csv(index=False, float_format="%.5g")
+        write_text(self.folder / "progress.csv", text)
 
 
-def _loop(
-    training: Training,
-    complete: dict[str, Any],
-    folder: Path,
-    progress: Progress,
-    rows: list[dict[str, Any]],
-    quiet: bool,
-    log: Callable[[dict[str, Any]], None],
-) -> list[dict[str, Any]]:
-    config = training.config
-    begun = time.monotonic() - progress.seconds
-    steps, update = progress.steps, progress.update
-    with tqdm(
-        total=config.steps, initial=steps, unit="step", unit_scale=True, disable=quiet, desc=complete["method"]
-    ) as bar:
-        while steps < config.steps:
-            row = training.update(steps)
-            steps, update = steps + training.steps_per_update, update + 1
-            seconds = time.monotonic() - begun
-            rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
-            log(rows[-1])
-            bar.update(training.steps_per_update)
-            bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
-            if update % config.checkpoint_every == 0 and steps < config.steps:
-                _write_rows(folder, rows)
-                save_checkpoint(folder, training.learners, Progress(update, steps, seconds), complete)
-                training.restart(update)
-    return rows
+def _tensorboard(folder: Path | None, steps: int) -> AbstractContextManager[Any]:
+    """Open TensorBoard's logs, if wanted; what they hold beyond ``steps``, from before an interruption, is hidden."""
+    if folder is None:
+        return nullcontext()
+    from torch.utils.tensorboard.writer import SummaryWriter  # takes seconds
+
+    return SummaryWriter(str(folder), purge_step=steps or None)
 
 
-def _finish(
-    training: Training,
-    method: Method,
-    complete: dict[str, Any],
-    folder: Path,
-    rows: list[dict[str, Any]],
-    origin: dict[str, Any],
-) -> None:
-    _write_rows(folder, rows)
-    export_policy(folder, method, training)
-    # Written last: a folder with run.json is a finished run.
-    done = {"steps": int(rows[-1]["env_steps"]), "seconds": float(rows[-1]["seconds"])}
-    summary = {"method": method.name, "seed": complete["seed"], "preset": complete["preset"]}
-    write_json(folder / "run.json", {**summary, **origin, **done})
-    delete_checkpoint(folder)
-
-
-def _write_rows(folder: Path, rows: list[dict[str, Any]]) -> None:
-    table = pd.DataFrame(rows)
-    write_atomically(folder / "progress.csv", lambda path: table.to_csv(path, index=False, float_format="%.5g"))
-
-
-def _read_rows(folder: Path, updates: int) -> list[dict[str, Any]]:
-    try:
-        table = pd.read_csv(folder / "progress.csv")
-    except (OSError, ValueError) as error:
-        raise UserError(f"{folder / 'progress.csv'}: not readable: {error}") from None
-    rows = table[table["update"] <= updates].to_dict("records")
-    return [{str(name): value for name, value in row.items()} for row in rows]
+def _log(writer: Any, row: dict[str, Any]) -> None:
+    for name, value in row.items():
+        if name not in ("update", "env_steps") and math.isfinite(value):
+            part = name.split("_")[0] if "_" in name else "training"
+            writer.add_scalar(f"{part}/{name}", value, row["env_steps"])

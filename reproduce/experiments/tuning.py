@@ -25,7 +25,7 @@ from reproduce.experiments.train import train
 from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
 from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import write_text
+from reproduce.storage.files import locked, write_text
 from reproduce.storage.paths import COMMITTED, RESULTS
 from reproduce.storage.provenance import record_origin
 
@@ -50,34 +50,42 @@ def tune(
         tests: Easy validation scenes after it.
         tell: Gets a line a trial.
         quiet: No progress bars.
-        results: Where ``trials/tuning/METHOD.csv`` is written.
+        results: Where ``trials/tuning/METHOD.csv`` is written; no other tuning may be writing there.
 
     Raises:
-        UserError: When the method has no trials, or a number is out of range.
+        UserError: When the method has no trials, a number is out of range, or the folder is in use.
+        KeyboardInterrupt: When interrupted; trials that ended are in the table, and the same call makes the others.
     """
     if method not in TRIALS:
         raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
     if steps < 1 or tests < 1:
         raise UserError(f"--steps, --tests: expected at least 1, got {steps} and {tests}")
     path = results / TUNING / f"{method}.csv"
-    found: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    made: dict[str, dict[str, Any]] = {}
-    wanted = {trial.name: _conditions(trial, steps, tests) for trial in TRIALS[method]}
-    for row in found:
-        if all(str(row.get(key)) == str(value) for key, value in wanted.get(row["trial"], {"trial": None}).items()):
-            made[row["trial"]] = row
-    for trial in TRIALS[method]:
-        if trial.name not in made:
-            made[trial.name] = {**wanted[trial.name], **_measure(method, trial, steps, tests, quiet)}
-            rows = [made[name] for name in wanted if name in made]
-            write_text(path, pd.DataFrame(rows).to_csv(index=False))
-            record_origin(path)
-        tell(f"{method}, {trial.name}: score {made[trial.name]['score']:.3f}")
-    return pd.DataFrame([made[name] for name in wanted])
+    with locked(path.parent, "folder of tuning trials"):
+        rows = _known_rows(path, {trial.name: _conditions(trial, steps, tests) for trial in TRIALS[method]})
+        for trial in TRIALS[method]:
+            if trial.name not in rows:
+                rows[trial.name] = {**_conditions(trial, steps, tests), **_measure(method, trial, steps, tests, quiet)}
+                ordered = [rows[each.name] for each in TRIALS[method] if each.name in rows]
+                write_text(path, pd.DataFrame(ordered).to_csv(index=False))
+                record_origin(path)
+            tell(f"{method}, {trial.name}: score {rows[trial.name]['score']:.3f}")
+    return pd.DataFrame([rows[trial.name] for trial in TRIALS[method]])
+
+
+def _known_rows(path: Path, conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Read the rows of trials that were made under the same conditions, by the trial's name."""
+    rows: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
+
+    def same(row: dict[str, Any]) -> bool:
+        wanted = conditions.get(row["trial"])
+        return wanted is not None and all(str(row.get(key)) == str(value) for key, value in wanted.items())
+
+    return {row["trial"]: row for row in rows if same(row)}
 
 
 def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
-    """What makes two trials the same, so that tuning can be gone on with."""
+    """Return what must be equal for a trial not to be made again."""
     return {
         "trial": trial.name,
         "changes": json.dumps(dict(trial.changes), sort_keys=True),
@@ -90,20 +98,23 @@ def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
 
 def _measure(method: str, trial: Trial, steps: int, tests: int, quiet: bool) -> dict[str, Any]:
     config = replace(trial.config(PRESETS[PRESET]), steps=steps, scenes=SCENES)
-    with tempfile.TemporaryDirectory() as folder:
-        curve = train(METHODS[method], config, 0, Path(folder) / method, PRESET, quiet=quiet)
-        found = evaluate(Path(folder) / method, tests, VALIDATION.start, quiet=quiet, easy=True)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            curve = train(METHODS[method], config, 0, Path(folder) / method, PRESET, quiet=quiet)
+            result = evaluate(Path(folder) / method, tests, VALIDATION.start, quiet=quiet, easy=True)
+    except KeyboardInterrupt:
+        words = f"tuning {method}: interrupted in trial {trial.name!r}; the same command goes on with that trial"
+        raise KeyboardInterrupt(words) from None
     return {
-        "score": (found["both_arms_under"] + found["success_rate"]) / 2,
-        "both_arms_under": found["both_arms_under"],
-        "success_rate": found["success_rate"],
-        "mean_return": round(found["mean_return"], 4),
+        "score": (result["both_arms_under"] + result["success_rate"]) / 2,
+        **{name: result[name] for name in ("both_arms_under", "success_rate")},
+        "mean_return": round(result["mean_return"], 4),
         "seconds": round(float(curve["seconds"].iloc[-1]), 1),
     }
 
 
 def tuning_table(results: Path = COMMITTED) -> pd.DataFrame:
-    """All trials that were made: score and rates of each by method and trial, and which one was chosen."""
+    """Return score and rates of all trials, by method and trial, with a mark at those that were chosen."""
     tables = []
     for method in TRIALS:
         path = results / TUNING / f"{method}.csv"

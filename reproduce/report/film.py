@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue import LunarRescueEnv
 from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
 from reproduce.experiments.evaluate import run_episode
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
-from reproduce.learning.policy import Actions, Observations, Policy
-from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_atomically
 
 STRIP_PICTURES = 8

@@ -7,3 +7,7 @@ class UserError(Exception):
 
 class RunFailedError(Exception):
     """Something that a command started did not end well (exit code 1)."""
+
+
+class StoppedError(Exception):
+    """A signal ended a command; one line says what was kept and how to go on, exit code 128 plus the signal."""

@@ -7,10 +7,12 @@ which stops them, says one line and ends with code 128 plus the signal's number.
 from __future__ import annotations
 
 import ctypes
+import math
 import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -24,6 +26,7 @@ from reproduce.storage.errors import RunFailedError
 
 #: Signals by which people, terminals, schedulers and ``timeout`` ask a command to end.
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SAME_REQUEST = 1.0  # s
 _TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
 _LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
 _PR_SET_PDEATHSIG = 1
@@ -123,9 +126,11 @@ class Stop:
 
     Attributes:
         number: The signal's, or 0 while none came.
+        time: When the last one came, by ``time.monotonic`` [s].
     """
 
     number: int = 0
+    time: float = -math.inf
 
     @property
     def code(self) -> int:
@@ -135,24 +140,25 @@ class Stop:
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Turn the first signal of ``STOPPING`` into a KeyboardInterrupt, so that files are closed and workers stopped.
+    """Turn signals of ``STOPPING`` into a KeyboardInterrupt, so that files are closed and workers stopped.
 
-    A second Ctrl-C ends the process at once; a second SIGTERM or SIGHUP does not, as terminals and schedulers send them
-    twice. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored.
+    What comes again within ``SAME_REQUEST`` is the same request: ``timeout`` and closing terminals signal a process and
+    then its group. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored.
     """
-    stop, before = Stop(), {number: signal.getsignal(number) for number in STOPPING}
+    stop = Stop()
 
     def handle(number: int, frame: FrameType | None) -> None:
-        stop.number = number
-        for each in before:
-            signal.signal(each, signal.SIG_DFL if each == signal.SIGINT else signal.SIG_IGN)
-        raise KeyboardInterrupt
+        before, stop.time = stop.time, time.monotonic()
+        stop.number = stop.number or number
+        if stop.time - before > SAME_REQUEST:
+            raise KeyboardInterrupt
 
-    before = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
-    for number in before:
+    handlers = {number: signal.getsignal(number) for number in STOPPING}
+    handlers = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
+    for number in handlers:
         signal.signal(number, handle)
     try:
         yield stop
     finally:
-        for number, old in before.items():
-            signal.signal(number, old)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
