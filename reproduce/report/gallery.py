@@ -82,7 +82,7 @@ def _prepare() -> None:
 
 
 def _make(clip: Clip, folder: Path) -> str:
-    from reproduce.report.film import ending
+    from reproduce.report.acting import ending
     from reproduce.report.viewer import record, write_replay
 
     recording = record(clip.where, clip.seed)

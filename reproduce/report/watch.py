@@ -111,6 +111,7 @@ class LiveView:
         if new or self._actors is None:
             self._server.scene.reset()
             self._actors = Actors(self._server, episode.scene, self._spectator.robot, moment, subgoals is not None)
+            self._due = time.monotonic() + CONTROL_STEP
         with self._server.atomic():
             self._actors.show(moment)
 
