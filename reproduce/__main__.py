@@ -192,7 +192,8 @@ def notebooks(
     """Run the notebooks with papermill, in order, and build the report."""
     from reproduce.report.notebooks import run_notebooks
 
-    run_notebooks(preset, only=only, assignments=parameter or [])
+    folder = run_notebooks(preset, only=only, assignments=parameter or [])
+    typer.echo(f"{folder}: notebooks written")
     if report:
         _build_report(replays)
 
