@@ -48,7 +48,7 @@ def make_environments() -> DummyVecEnv:
 
 
 def configuration(steps: int) -> TrainingConfig:
-    """Small networks and short rollouts."""
+    """Return a configuration of small networks and short rollouts for ``steps`` environment steps."""
     low = LearnerConfig(
         n_steps=200,
         batch_size=400,

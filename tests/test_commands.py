@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import nbformat
@@ -15,7 +19,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch as th
+from command_line import call, without_progress  # type: ignore[import-not-found]  # pytest puts this folder on the path
 from safetensors.torch import load_file, save_file
+from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]
 
 from reproduce.experiments.evaluate import evaluate, rescue_scenes
 from reproduce.experiments.methods import METHODS, load_policy
@@ -28,22 +34,11 @@ from reproduce.storage.errors import RunFailedError, UserError
 STEPS = 1024
 
 
-def call(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "reproduce", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=300,
-        check=False,
-    )
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "hrl"
     done = call("train", "hrl_dcs", "--preset", "smoke", "--seed", "0", "--steps", str(STEPS), "--out", str(folder))
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     return folder
 
 
@@ -61,8 +56,6 @@ def test_run_folder_is_complete(run: Path) -> None:
 
 @pytest.mark.parametrize("name", [m.name for m in METHODS.values() if m.train])
 def test_every_learning_method_trains_and_acts(name: str, tmp_path: Path) -> None:
-    from dataclasses import replace
-
     config = replace(METHODS[name].config("smoke"), steps=512, n_envs=2)
     curve = train(METHODS[name], config, 0, tmp_path / "run", "smoke", quiet=True)
     assert np.isfinite(curve["seconds"]).all()
@@ -75,7 +68,7 @@ def test_every_learning_method_trains_and_acts(name: str, tmp_path: Path) -> Non
 def test_evaluation_has_the_contract_s_fields(run: Path, tmp_path: Path) -> None:
     target = tmp_path / "evaluation.json"
     done = call("evaluate", str(run), "--tests", "4", "--first-seed", "7", "--json", str(target))
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     result = json.loads(target.read_text())
     assert {
         "method", "tests", "successes", "success_rate", "wilson_low", "wilson_high", "seconds", "seconds_per_test",
@@ -86,8 +79,8 @@ def test_evaluation_has_the_contract_s_fields(run: Path, tmp_path: Path) -> None
 
 
 def test_results_do_not_depend_on_workers_or_neighbours(run: Path) -> None:
-    together = rescue_scenes(run, 6, workers=2, quiet=True)
-    alone = [row for seed in range(6) for row in rescue_scenes(run, 1, first_seed=seed, workers=1, quiet=True)]
+    together = rescue_scenes(run, 3, workers=2, quiet=True)
+    alone = [row for seed in range(3) for row in rescue_scenes(run, 1, first_seed=seed, workers=1, quiet=True)]
     assert together == alone
 
 
@@ -95,7 +88,7 @@ def test_results_do_not_depend_on_workers_or_neighbours(run: Path) -> None:
 def test_replay_writes_a_film(ending: str, tmp_path: Path) -> None:
     out = tmp_path / f"rescue{ending}"
     done = call("replay", "scripted", "--seed", "0", "--out", str(out))
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     assert out.stat().st_size > 10_000
 
 
@@ -120,17 +113,103 @@ BAD_CALLS = [
     (["notebooks", "-p", "seed=one"], "seed"),
     (["notebooks", "-p", "seed"], "NAME=VALUE"),
     (["dance"], "dance"),
+    (["train", "hrl_dcs", "--out", ""], "--out"),
+    (["train", "hrl_dcs", "--out", "x", "--as-needed", "--resume"], "--as-needed"),
+    (["evaluate", "scripted", "--tests", "1", "--json", "."], "folder"),
+    (["replay", "scripted", "--out", "x.png", "--seed", "-1"], "--seed"),
+    (["watch", "scripted", "--rescues", "-1"], "--rescues"),
+    (["batch", "--slots", "0"], "--slots"),
+    (["tune", "fun", "--tests", "0"], "--tests"),
+    (["solvable", "--variants", "-2"], "--variants"),
 ]
 
 
 @pytest.mark.parametrize(("arguments", "word"), BAD_CALLS, ids=[" ".join(a) for a, _ in BAD_CALLS])
 def test_bad_calls_end_with_one_line_and_code_2(arguments: list[str], word: str, tmp_path: Path) -> None:
     done = call(*arguments, cwd=tmp_path)
-    lines = [line for line in done.stderr.splitlines() if line.strip()]
-    assert done.returncode == 2
-    assert len(lines) == 1 and word in lines[0] and lines[0].startswith("reproduce:"), done.stderr
-    assert "Traceback" not in done.stderr
+    assert done.code == 2
+    assert word in done.complaint and done.complaint.startswith("reproduce:")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["train", "hrl_dcs", "--out", "file/run"],
+        ["train", "hrl_dcs", "--out", "file"],
+        ["evaluate", "scripted", "--tests", "1", "--json", "file/x.json"],
+        ["replay", "scripted", "--out", "file/x.png"],
+        ["claims", "--json", "file/x.json"],
+    ],
+    ids=" ".join,
+)
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(arguments: list[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("as it was")
+    done = call(*arguments, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "") and "file" in done.complaint and "cannot be written" in done.complaint
+    assert (tmp_path / "file").read_text() == "as it was" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_results_are_printed_even_where_their_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path, data: object) -> None:
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("reproduce.storage.files.write_json", fail)
+    done = call("evaluate", "scripted", "--tests", "1", "--json", str(tmp_path / "x.json"))
+    assert done.code == 1 and "of 1 rescued" in done.out
+    assert "No space left" in done.complaint and "x.json" in done.complaint
+
+
+def _shell(command: str) -> subprocess.CompletedProcess[str]:
+    line = command.replace("reproduce", f"'{sys.executable}' -O -m reproduce", 1)
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_new_process_and_closed_full_or_broken_outputs() -> None:
+    done = _shell("reproduce evaluate scripted --tests 0")
+    assert done.returncode == 2 and "--tests" in done.stderr and len(done.stderr.splitlines()) == 1
+    for ending, code in (
+        ("methods >&-", 0),
+        ("--help >&- 2>&-", 0),
+        ("--help | true; exit ${PIPESTATUS[0]}", None),
+        ("--help >/dev/full", 1),
+    ):
+        done = _shell(f"reproduce {ending}")
+        assert code is None or done.returncode == code, ending
+        assert "Traceback" not in done.stderr and len(done.stderr.splitlines()) <= 1, ending
+
+
+def _interrupt(command: list[str], begun: Callable[[int], bool]) -> list[str]:
+    """Start a process, press Ctrl-C once it is at work, and return the lines on standard error, progress bars aside."""
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert wait_for(lambda: begun(process.pid))
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130 and nobody_left(process.pid)
+    return without_progress(said)
+
+
+def test_ctrl_c_ends_an_evaluation_with_one_line() -> None:
+    command = [sys.executable, "-m", "reproduce", "evaluate", "scripted", "--tests", "900"]
+    # The command, the fork server, what tracks their resources, and a worker, which still imports.
+    assert _interrupt(command, lambda session: len(alive(session)) >= 4) == ["reproduce: interrupted"]
+
+
+def test_ctrl_c_ends_notebooks_with_one_line_and_no_kernel(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    _notebook(tmp_path / "notebooks", f"import pathlib, time\npathlib.Path({str(begun)!r}).touch()\ntime.sleep(600)")
+    script = tmp_path / "few_notebooks.py"
+    script.write_text(
+        "import sys\nfrom functools import partial\nfrom pathlib import Path\nfrom reproduce.__main__ import main\n"
+        "import reproduce.report.notebooks as module\nhere = Path(__file__).parent\n"
+        "module.run_notebooks = partial(module.run_notebooks, results=here / 'results', sources=here / 'notebooks')\n"
+        "sys.argv = ['reproduce', 'notebooks', '--no-report']\nmain()\n"
+    )
+    assert _interrupt([sys.executable, str(script)], lambda session: begun.is_file()) == ["reproduce: interrupted"]
+    assert not (tmp_path / "results" / "notebooks" / "01_try.ipynb").exists()
 
 
 class _Payload:
@@ -190,16 +269,32 @@ def test_damaged_run_folders_are_refused(run: Path, how: str, tmp_path: Path) ->
         evaluate(folder, 1, quiet=True)
     if how in ("cut weights", "no description"):
         done = call("evaluate", str(folder), "--tests", "1")
-        assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1
+        assert done.code == 2 and done.complaint
     if how == "pickle":
         assert not (tmp_path / "fired").exists()
 
 
-def test_a_finished_run_is_not_overwritten(run: Path) -> None:
+def test_a_finished_run_is_neither_overwritten_nor_resumed(run: Path) -> None:
     before = (run / "policy.safetensors").read_bytes()
-    done = call("train", "hrl_dcs", "--preset", "smoke", "--steps", "512", "--out", str(run))
-    assert done.returncode == 2 and "finished run" in done.stderr
+    for options, words in (([], "choose another --out"), (["--resume"], "nothing is left to resume")):
+        done = call("train", "hrl_dcs", "--preset", "smoke", "--steps", "512", "--out", str(run), *options)
+        assert done.code == 2 and "finished run" in done.complaint and words in done.complaint
     assert (run / "policy.safetensors").read_bytes() == before
+
+
+def test_a_training_is_not_resumed_with_another_configuration(run: Path, tmp_path: Path) -> None:
+    shutil.copy(run / "config.json", tmp_path)
+    done = call("train", "hrl_dcs", "--preset", "smoke", "--steps", "2048", "--out", str(tmp_path), "--resume")
+    assert done.code == 2 and f"training.steps was {STEPS}, is 2048" in done.complaint
+    assert {path.name for path in tmp_path.iterdir()} == {"config.json"}
+
+
+def test_a_folder_with_another_program_s_configuration_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"editor": "dark"}')
+    (tmp_path / "thesis.txt").write_text("all of it")
+    done = call("train", "hrl_dcs", "--preset", "smoke", "--out", ".", "--as-needed", cwd=tmp_path)
+    assert done.code == 2 and "configuration of a training" in done.complaint
+    assert {path.name for path in tmp_path.iterdir()} == {"config.json", "thesis.txt"}
 
 
 def test_configuration_survives_json_and_refuses_strangers() -> None:

@@ -12,6 +12,9 @@ from reproduce.storage.paths import ROOT
 
 @pytest.mark.parametrize("method", ["two_layers", "feudal"])
 def test_it_learns_on_pendulum(method: str) -> None:
-    """Untrained networks and random actions have about -1250; trials had -780 and -640 in the last updates."""
-    returns = runpy.run_path(str(ROOT / "examples" / "pendulum.py"))[method](80_000)
-    assert np.nanmean(returns[-20:]) > np.nanmean(returns[:3]) + 200.0
+    """Untrained networks and random actions have about -1250, and 80 episodes show a mean with a deviation of about 35.
+
+    Six trials, three seeds of each method, had -990 to -900 in the last ten updates.
+    """
+    returns = runpy.run_path(str(ROOT / "examples" / "pendulum.py"))[method](40_000)
+    assert np.nanmean(returns[-10:]) > max(-1080.0, np.nanmean(returns[:3]) + 100.0)

@@ -17,7 +17,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import PPO
-from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnvWrapper
@@ -32,11 +31,11 @@ from reproduce.baselines.feudal.levels import DilatedLSTM
 from reproduce.baselines.feudal.network import FunNetwork, FunSpec
 from reproduce.baselines.feudal.policy import LEVEL, FunPolicy, load_network
 from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout
-from reproduce.baselines.feudal.signals import advantages_and_returns, directions
+from reproduce.baselines.feudal.signals import directions
 from reproduce.baselines.feudal.training import FunTraining
 from reproduce.learning.config import PRESETS
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.sequences import Minibatch, minibatches
+from reproduce.learning.sequences import TARGETS, Minibatch, minibatches
 from reproduce.learning.training import start_collecting
 from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import UserError
@@ -122,8 +121,7 @@ def by_step(tensor: th.Tensor) -> th.Tensor:
 
 def one_batch(rollout: FunRollout) -> tuple[Minibatch, dict[str, th.Tensor]]:
     (batch,) = minibatches(rollout, len(rollout), np.random.default_rng(0))
-    names = ("actions", "log_probs", "values", "advantages", "returns")
-    return batch, {name: th.from_numpy(getattr(rollout, name))[batch.rows] for name in names}
+    return batch, {name: th.from_numpy(getattr(rollout, name))[batch.rows] for name in TARGETS}
 
 
 # -- the dilated LSTM --------------------------------------------------------------------------------------------------
@@ -237,7 +235,7 @@ def test_signals_are_what_brute_force_gives_over_ends_and_over_rollouts() -> Non
 
     def state(t: int, env: int, after: bool) -> th.Tensor:
         observation = last[t - 1, env] if after and (t - 1, env) in last else th.from_numpy(seen[t, env]).float()
-        return learner.network.states(observation)
+        return learner.policy.states(observation)
 
     intrinsic, ways, known = by_step(rollout.intrinsic), by_step(rollout.directions), by_step(rollout.known)
     with th.no_grad():
@@ -257,21 +255,6 @@ def test_signals_are_what_brute_force_gives_over_ends_and_over_rollouts() -> Non
                     way = state(until + 1, env, True) - state(t, env, False)
                     assert th.allclose(ways[t - STEPS, env], way, atol=1e-5)
     assert not known.all() and known[-1].sum() == second.ends[-1].sum()
-
-
-def test_advantages_are_those_of_sb3() -> None:
-    rng = np.random.default_rng(0)
-    box = spaces.Box(-1.0, 1.0, (1,), np.float32)
-    stock = RolloutBuffer(STEPS, box, box, "cpu", gae_lambda=0.8, gamma=0.9, n_envs=ENVS)
-    over = rng.random((STEPS, ENVS)) < 0.2
-    stock.rewards, stock.values = (rng.normal(size=(2, STEPS, ENVS))).astype(np.float32)
-    stock.episode_starts = np.concatenate([np.ones((1, ENVS)), over[:-1]]).astype(np.float32)
-    after = th.randn(ENVS)
-    stock.compute_returns_and_advantage(after, over[-1])
-    rewards, values = th.from_numpy(stock.rewards), th.from_numpy(stock.values)
-    advantages, returns = advantages_and_returns(rewards, values, after, th.from_numpy(over), 0.9, 0.8)
-    assert advantages.numpy() == pytest.approx(stock.advantages, abs=1e-5)
-    assert returns.numpy() == pytest.approx(stock.returns, abs=1e-5)
 
 
 def test_worker_gets_the_intrinsic_reward_and_manager_does_not() -> None:
@@ -308,7 +291,7 @@ def test_at_a_time_limit_and_only_there_the_value_of_what_would_come_is_added() 
         begun = t - int(buffer.clock[t, index])
         if not cut[t, index] or begun < 0:
             continue
-        network, memory = learner.network, learner.network.empty_memory(1)
+        network, memory = learner.policy, learner.policy.empty_memory(1)
         for k in range(begun, t + 1):
             network.step(th.from_numpy(buffer.observations[k, index]).float()[None], memory, deterministic=True)
             memory.goals[0, (k - begun) % C] = buffer.goals[k, index]  # some were random
@@ -330,9 +313,9 @@ def test_learning_sees_what_acting_did() -> None:
     for batch in minibatches(rollout, 30, np.random.default_rng(0)):
         with th.no_grad():
             values, log_probs, _ = learner.evaluate_sequences(batch, th.from_numpy(rollout.actions)[batch.rows])
-            state = rollout.manager_states[rollout.sequence_of[batch.rows[: batch.mask.shape[1]]]]
-            clock = rollout.clock[batch.rows[: batch.mask.shape[1]]]
-            goals, manager_values = learner.network.set_goals(batch.observations, state, clock, batch.mask)
+            first = batch.rows[: batch.mask.shape[1]]
+            state, clock = rollout.states_before(first), rollout.clock[first]
+            goals, manager_values = learner.policy.set_goals(batch.observations, state, clock, batch.mask)
             _, log = learner.manager_losses(batch)
         assert log_probs.numpy() == pytest.approx(rollout.log_probs[batch.rows], abs=1e-4)
         assert values.numpy() == pytest.approx(rollout.values[batch.rows], abs=1e-4)
@@ -375,7 +358,7 @@ def test_no_gradient_goes_through_the_state_difference(monkeypatch: pytest.Monke
     collect(learner, 2)
     batch, _ = one_batch(learner.rollout())
     # With the LSTM's input severed only the difference is left to bring a gradient into the space of states.
-    core = learner.network.manager.core
+    core = learner.policy.manager.core
     forward = core.forward
     monkeypatch.setattr(core, "forward", lambda inputs, state, clock: forward(inputs.detach(), state, clock))
     severed = gradients(learner, learner.manager_losses(batch)[0])
@@ -394,12 +377,12 @@ def test_the_clipped_loss_begins_with_the_transition_policy_gradient() -> None:
     rollout = learner.rollout()
     batch, _ = one_batch(rollout)
     learner.manager_losses(batch)[0].backward()
-    core = learner.network.manager.core.core
+    core = learner.policy.manager.core.core
     ours = [p.grad.clone() for p in core.parameters() if p.grad is not None]
     learner.policy.zero_grad()
     first = batch.rows[: batch.mask.shape[1]]
-    state = rollout.manager_states[rollout.sequence_of[first]]
-    goals, _ = learner.network.set_goals(batch.observations, state, rollout.clock[first], batch.mask)
+    state = rollout.states_before(first)
+    goals, _ = learner.policy.set_goals(batch.observations, state, rollout.clock[first], batch.mask)
     rows = batch.rows[rollout.known[batch.rows]]
     ways, advantages = rollout.directions[rows], rollout.manager_advantages[rows]
     cosines = (ways * goals[rollout.known[batch.rows]]).sum(-1) / ways.norm(dim=-1)
@@ -418,7 +401,7 @@ def test_an_update_moves_every_parameter_and_shows_it() -> None:
     learner.train()
     moved = [not th.equal(a, b) for a, b in zip(before, learner.policy.parameters(), strict=True)]
     assert all(moved)
-    assert bool((learner.network.log_std <= -1.0).all())  # exploration under its line, as SequencePPO's
+    assert bool((learner.policy.log_std <= -1.0).all())  # exploration under its line, as SequencePPO's
     logged = learner.logger.name_to_value
     for key in ("approx_kl", "intrinsic", "goal_cosine", "manager_value_loss", "manager_explained_variance"):
         assert np.isfinite(logged[f"train/{key}"]), key
@@ -526,9 +509,9 @@ def test_what_makes_no_sense_is_refused() -> None:
     for bad in ({"horizon": 0}, {"goal_size": True}, {"random_goals": 1.5}, {"intrinsic_weight": float("nan")}):
         with pytest.raises(ValueError, match=next(iter(bad))):
             FunConfig(**bad)
-    box = spaces.Box(-1.0, 1.0, (2,), np.float32)
+    box, discrete = spaces.Box(-1.0, 1.0, (2,), np.float32), spaces.Discrete(3)
     with pytest.raises(ValueError, match="action_space"):
-        FunNetwork(box, spaces.Discrete(3), lambda _: 0.0)
+        FunNetwork(box, discrete, lambda _: 0.0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="observation_space"):
         FunNetwork(spaces.Box(0.0, 1.0, (4, 4), np.float32), box, lambda _: 0.0)
 
@@ -617,7 +600,7 @@ def maze_learner(worker_remembers: bool = True) -> FunPPO:
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     if not worker_remembers:
-        worker: Any = learner.network.worker
+        worker: Any = learner.policy.worker
         worker.core = Forgetful(worker.core)
     return learner
 

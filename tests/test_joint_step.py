@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE, SLICES
-from lunar_rescue.physics.kinematics import arm_pose
+from lunar_rescue.physics.kinematics import END, ArmChain
 from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
-from reproduce.hrl_dcs.joint_step import FURTHEST, LEVEL, changes_with_joints, joint_step, sideways_tilt
+from reproduce.hrl_dcs.joint_step import FURTHEST, LEVEL, joint_step, sideways_tilt
 from reproduce.hrl_dcs.subgoals import RISE, SUBGOAL_SIZE, achieved
 from reproduce.learning.actions import LARGEST_CHANGE, LOWER, UPPER
 from reproduce.learning.mirror import mirror_actions, mirror_observations
@@ -17,33 +17,45 @@ from reproduce.learning.mirror import mirror_actions, mirror_observations
 Array = NDArray[np.float64]
 
 
-def _pose(waist: float, q: Array) -> Array:
-    pose = arm_pose(waist, q, 1)
-    return np.array([*pose.points[-1], pose.direction[2], pose.normal[1]])
-
-
 def test_changes_are_those_of_the_arm() -> None:
     rng = np.random.default_rng(0)
     waist, q = rng.uniform(-0.5, 0.9, 5), rng.uniform(-1.0, 1.0, (5, 5)) + [0, 0, 0, 1.5, 0]
-    changes, normal_y = changes_with_joints(waist, q)
+    chain = ArmChain(waist, q)
+    changes = chain.jacobian()
+    assert changes.shape == (5, 5, 6)
     small = 1e-6
+    for joint in range(6):
+        d = small * np.eye(6)[joint]
+        ahead, behind = (ArmChain(waist + sign * d[5], q + sign * d[:5]).pose for sign in (1, -1))
+        assert changes[:, :, joint] == pytest.approx((ahead - behind) / (2 * small), abs=1e-6)
+    assert chain.pose == pytest.approx(
+        np.column_stack([chain.points[:, END], chain.direction[:, 2], chain.normal[:, 1]])
+    )
     for row in range(5):
-        assert normal_y[row] == pytest.approx(_pose(waist[row], q[row])[4])
         seen = _observed(np.concatenate([q[row], q[row], waist[row : row + 1]]))
-        assert sideways_tilt(seen)[0] == pytest.approx([LEVEL * normal_y[row]] * 2, abs=1e-6)
-        for joint in range(6):
-            d = small * np.eye(6)[joint]
-            ahead, behind = (_pose(waist[row] + sign * d[5], q[row] + sign * d[:5]) for sign in (1, -1))
-            assert changes[row, :, joint] == pytest.approx((ahead - behind) / (2 * small), abs=1e-6)
+        assert sideways_tilt(seen)[0] == pytest.approx([LEVEL * chain.normal[row, 1]] * 2, abs=1e-6)
+
+
+def test_an_upright_robot_with_hanging_arms_is_where_its_lengths_say() -> None:
+    hanging = ArmChain(np.zeros(1), np.zeros((1, 5)))
+    x, y = 0.0, 0.36
+    # Shoulder 0.30 + 0.42 m up; upper arm 0.50, forearm 0.45, plate 0.45 m, its end 0.12 m behind the tip.
+    places = [[x, y, 0.72], [x, y, 0.22], [x, y, -0.23], [x, y, -0.56], [x, y, -0.68]]
+    assert hanging.points[0] == pytest.approx(np.array(places))
+    assert hanging.direction[0] == pytest.approx([0, 0, -1]) and hanging.normal[0] == pytest.approx([1, 0, 0])
+    ahead = ArmChain(np.zeros(1), np.radians([[0.0, 0.0, 0.0, 90.0, 0.0]]))
+    assert ahead.points[0, END] == pytest.approx([0.78, 0.36, 0.22])
+    assert ahead.direction[0] == pytest.approx([1, 0, 0]) and ahead.normal[0] == pytest.approx([0, 0, 1])
 
 
 def _observed(angles: Array) -> NDArray[np.float32]:
     """What the observation tells of arms at these joint angles (11,)."""
     row = np.zeros((1, SIZE), np.float32)
     for arm, key in zip(ARMS, ("P_A", "P_B"), strict=True):
-        pose, at = arm_pose(float(angles[WAIST]), angles[arm.joints], arm.side), SLICES[key].start
+        chain, at = ArmChain(angles[[WAIST]], angles[None, arm.joints]), SLICES[key].start
+        mirror = np.array([1, arm.side, 1])
         row[0, at : at + 5] = (angles[arm.joints] - INITIAL_ARM) / ARM_WINDOW
-        row[0, at + 15 : at + 21] = [*pose.points[-1], *pose.direction]
+        row[0, at + 15 : at + 21] = np.ravel([chain.points[0, END], chain.direction[0]] * mirror)
     row[0, SLICES["P_W"].start] = angles[WAIST] / WAIST_WINDOW
     return row
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import without_progress  # type: ignore[import-not-found]
 from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.storage.checkpoint import NAME
@@ -91,7 +92,7 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(
     _, said = process.communicate(timeout=30)
     assert process.returncode == 128 + number
     assert nobody_left(process.pid)
-    lines = [line for line in re.split(r"[\r\n]", said) if line.strip() and "step/s" not in line]  # no progress bar
+    lines = without_progress(said)
     where = r"update \d+" if awaited == NAME else "(update 2|the beginning)"
     assert len(lines) == 1, said
     assert re.fullmatch(rf"reproduce: .*/run: interrupted after update \d+; --resume .* goes on from {where}", lines[0])

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.physics.bodies import RigidBody
-from lunar_rescue.physics.kinematics import arm_pose
+from lunar_rescue.physics.kinematics import END, SHOULDER, ArmChain
 from lunar_rescue.physics.robot import ARMS, CONTROL_STEP, WAIST
 from lunar_rescue.physics.simulation import LUNAR_GRAVITY, SUBSTEP, Simulation
 from lunar_rescue.scenes.postures import all_postures
@@ -151,9 +151,10 @@ def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
         state = env.episode.robot
         seen = env.episode.observer.to_base(state.points)
         for arm in ARMS:
-            pose = arm_pose(state.angles[WAIST], state.angles[arm.joints], arm.side)
-            assert pose.points[-1] == pytest.approx(seen[arm.links][-1], abs=1e-6)
-            assert pose.points[0] == pytest.approx(seen[arm.links][0], abs=1e-6)
+            chain = ArmChain(state.angles[[WAIST]], state.angles[None, arm.joints])
+            points = chain.points[0] * [1, arm.side, 1]
+            assert points[END] == pytest.approx(seen[arm.links][-1], abs=1e-6)
+            assert points[SHOULDER] == pytest.approx(seen[arm.links][0], abs=1e-6)
 
 
 def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueEnv) -> None:

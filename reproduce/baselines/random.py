@@ -16,16 +16,16 @@ class RandomPolicy:
 
     def __init__(self, seed: Any = 0) -> None:
         """Seed the generator; anything but an integer counts as 0."""
-        self._rng = np.random.default_rng(seed if isinstance(seed, int) else 0)
+        self.reseed(seed if isinstance(seed, int) else 0)
 
     def reseed(self, seed: int) -> None:
         """Start a scene's own sequence of actions, so that the order of tests does not matter."""
         self._rng = np.random.default_rng(seed)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
+        """Draw actions (n, 11) without a look at the observations; see ``Policy.act``."""
         return self._rng.uniform(-1.0, 1.0, (len(observations), JOINTS)).astype(np.float32)
 
     def overlay(self) -> dict[str, NDArray[Any]]:
-        """Nothing to draw."""
+        """Return nothing to draw, as random actions aim at no point."""
         return {}

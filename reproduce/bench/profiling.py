@@ -19,12 +19,12 @@ from unittest.mock import patch
 import torch as th
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from reproduce.baselines.recurrent_ppo import EpisodeLog
 from reproduce.baselines.sac import BusyEpisodeLog, SacTraining
 from reproduce.experiments.methods import METHODS, Training
 from reproduce.experiments.train import THREADS
 from reproduce.hrl_dcs.training import HierarchicalTraining
 from reproduce.learning.config import PRESETS, TrainingConfig
+from reproduce.learning.episodes import EpisodeLog
 
 FIRST_UPDATES = 2  # fill caches; not counted
 THREADS_TRIED = (1, 2)

@@ -5,11 +5,7 @@ Every method meets the same scenes, and the result of a scene does not depend on
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +24,7 @@ from reproduce.hrl_dcs.ablation import ablated
 from reproduce.learning.policy import Policy
 from reproduce.learning.workers import easy_scene
 from reproduce.storage.errors import UserError
+from reproduce.storage.processes import map_in_processes
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
@@ -114,15 +111,9 @@ def rescue_scenes(
             f"{split_of(first_seed + tests - 1)}; choose seeds of one split"
         )
     find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
-    workers = workers or len(os.sched_getaffinity(0))
-    context = multiprocessing.get_context("forkserver")
     job = partial(_test, posture=posture, task=task, easy=easy)
-    try:
-        with ProcessPoolExecutor(workers, context, _prepare, (str(where), ablation)) as pool:
-            answers = pool.map(job, range(first_seed, first_seed + tests), chunksize=4)
-            return list(tqdm(answers, total=tests, unit="test", disable=quiet, desc=Path(where).name))
-    except BrokenProcessPool:
-        raise UserError(f"{where}: a test process died") from None
+    answers = map_in_processes(job, range(first_seed, first_seed + tests), workers, _prepare, (str(where), ablation))
+    return list(tqdm(answers, total=tests, unit="test", disable=quiet, desc=Path(where).name))
 
 
 def evaluate(

@@ -1,28 +1,23 @@
-"""What share of scenes can be solved at all: the planner's plans, each acted out in a fresh environment."""
+"""Measure what share of scenes can be solved at all: the planner's plans, each acted out in a fresh environment."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable
+from contextlib import closing
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from tqdm.auto import tqdm
+from scipy.stats import binomtest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
-from reproduce.analysis.intervals import count_by, wilson
 from reproduce.baselines.planner.planner import VARIANTS, RescuePlanner
 from reproduce.baselines.planner.policy import PlannerPolicy
 from reproduce.experiments.evaluate import run_episode
-from reproduce.storage.errors import UserError
-from reproduce.storage.files import write_atomically, write_json
+from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.storage.files import check_writable, locked, write_atomically, write_json
 from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import provenance, record_origin
 
@@ -34,104 +29,63 @@ SHARES = {
     "first_try_process1": "both arms under with the first way that the collision check let pass",
     "first_try_rescued": "whole rescue with the first way and the first variant, nothing tried out before",
 }
-_STATE: dict[str, Any] = {}
+GROUPS = ("task", "posture", "pair", "terrain")
 
 
 def solve_scene(seed: int, planner: RescuePlanner) -> dict[str, Any]:
-    """Plan one scene, act the plan out in an environment of its own and return a row about it."""
+    """Plan one scene, act the plan out in an environment of its own and return the scene's row."""
     scene = sample_scene(seed)
-    policy, env = PlannerPolicy(planner), LunarRescueEnv()
-    try:
+    policy = PlannerPolicy(planner)
+    with closing(LunarRescueEnv()) as env:
         ended = run_episode(env, policy, scene)
-    finally:
-        env.close()
-    plan = policy.plan
-    assert plan is not None
+    plan, under, rescued = policy.plan, bool(ended["both_arms_under"]), bool(ended["is_success"])
     return {
-        "seed": seed,
-        "task": scene.task,
-        "posture": scene.posture,
-        "terrain": str(getattr(scene.terrain, "kind", scene.terrain)),
-        "slope": round(float(getattr(scene.terrain, "slope", 0.0)), 3),
-        "rocks": len(scene.rocks),
-        "mass": round(scene.mass, 2),
-        "process1": int(ended["both_arms_under"]),
-        "rescued": int(ended["is_success"]),
+        **{key: ended[key] for key in ("seed", "task", "posture", "terrain", "rocks", "mass", "steps", "failure")},
+        "slope": scene.terrain.slope,
+        "process1": int(under),
+        "rescued": int(rescued),
         # A first try counts when it was the plan, and the plan did here what it had promised.
-        "first_try_process1": int(plan.first_under and ended["both_arms_under"]),
-        "first_try_rescued": int(plan.first_rescued and ended["is_success"]),
-        "as_planned": int(bool(ended["is_success"]) == plan.rescued and bool(ended["both_arms_under"]) == plan.under),
-        "way": plan.way,
-        "ways_tried": plan.ways_tried,
-        "variants_tried": plan.variants_tried,
-        "variant": plan.variant,
-        "steps": ended["steps"],
-        "failure": ended["failure"] or "",
-        "seconds": round(plan.seconds, 3),
+        "first_try_process1": int(plan.first_under and under),
+        "first_try_rescued": int(plan.first_rescued and rescued),
+        "as_planned": int((rescued, under) == (plan.rescued, plan.under)),
+        **{key: getattr(plan, key) for key in ("way", "ways_tried", "variants_tried", "variant", "seconds")},
     }
 
 
-def _prepare(variants: int) -> None:
-    _STATE["planner"] = RescuePlanner(variants)
+_planner = lru_cache(RescuePlanner)  # one for a worker's life
 
 
-def _solve(seed: int) -> dict[str, Any]:
-    return solve_scene(seed, _STATE["planner"])
+def _solve(seed: int, variants: int) -> dict[str, Any]:
+    return solve_scene(seed, _planner(variants))
 
 
-def solve_scenes(
-    tests: int, first_seed: int = 0, *, variants: int = VARIANTS, workers: int | None = None, quiet: bool = False
-) -> list[dict[str, Any]]:
-    """One row a scene, in the order of seeds, in as many processes as there are cores.
-
-    Raises:
-        UserError: On numbers out of range.
-    """
-    if tests < 1:
-        raise UserError(f"tests: expected at least 1, got {tests}")
-    if first_seed < 0:
-        raise UserError(f"first seed: expected at least 0, got {first_seed}")
-    RescuePlanner(variants)  # a bad cap fails here, in one line, and not in a worker
-    workers = workers or len(os.sched_getaffinity(0))
-    context = multiprocessing.get_context("forkserver")
-    try:
-        with ProcessPoolExecutor(workers, context, _prepare, (variants,)) as pool:
-            answers = pool.map(_solve, range(first_seed, first_seed + tests), chunksize=4)
-            return list(tqdm(answers, total=tests, unit="scene", disable=quiet, desc="planner"))
-    except BrokenProcessPool:
-        raise UserError("planner: a process died") from None
-
-
-def summarise_solvability(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Shares with Wilson intervals, by task, posture and terrain, and the time a scene takes."""
-    tests = len(rows)
-    shares = {}
-    for column, meaning in SHARES.items():
-        count = sum(row[column] for row in rows)
-        low, high = wilson(count, tests)
-        share = {"meaning": meaning, "scenes": count, "share": count / tests if tests else 0.0}
-        shares[column] = {**share, "wilson_low": low, "wilson_high": high}
-    judged = [{**row, "pair": f"{row['posture']} {row['task']}"} for row in rows]
-    groups = {
-        column: {
-            key: count_by([{**row, "is_success": row[column]} for row in judged], key)
-            for key in ("task", "posture", "pair", "terrain")
-        }
-        for column in ("process1", "rescued")
-    }
-    seconds = [row["seconds"] for row in rows]
+def summarise_solvability(scenes: pd.DataFrame) -> dict[str, Any]:
+    """Summarise rows as from ``solve_scene``: shares with 95 % Wilson intervals, groups, and the time a scene takes."""
+    paired = scenes.assign(pair=scenes["posture"] + " " + scenes["task"])
     return {
-        "tests": tests,
-        "shares": shares,
-        "by_group": groups,
-        "as_planned": sum(row["as_planned"] for row in rows),
-        "ways": dict(Counter(row["way"] for row in rows).most_common()),
-        "failures": dict(Counter(row["failure"] for row in rows if row["failure"]).most_common()),
-        "mean_steps": float(np.mean([row["steps"] for row in rows])) if rows else 0.0,
-        "mean_variants_tried": float(np.mean([row["variants_tried"] for row in rows])) if rows else 0.0,
-        "planning_seconds_per_scene": float(np.mean(seconds)) if rows else 0.0,
-        "longest_planning_seconds": float(max(seconds, default=0.0)),
+        "tests": len(scenes),
+        "shares": {column: {"meaning": meaning, **_share(scenes[column])} for column, meaning in SHARES.items()},
+        "by_group": {
+            column: {
+                key: paired.groupby(key).agg(tests=(column, "size"), successes=(column, "sum")).to_dict("index")
+                for key in GROUPS
+            }
+            for column in ("process1", "rescued")
+        },
+        "as_planned": int(scenes["as_planned"].sum()),
+        "ways": scenes["way"].value_counts().to_dict(),
+        "failures": scenes["failure"].value_counts().to_dict(),
+        "mean_steps": float(scenes["steps"].mean()),
+        "mean_variants_tried": float(scenes["variants_tried"].mean()),
+        "planning_seconds_per_scene": float(scenes["seconds"].mean()),
+        "longest_planning_seconds": float(scenes["seconds"].max()),
     }
+
+
+def _share(successes: pd.Series[int]) -> dict[str, float]:
+    count, tests = int(successes.sum()), len(successes)
+    low, high = binomtest(count, tests).proportion_ci(confidence_level=0.95, method="wilson")
+    return {"scenes": count, "share": count / tests, "wilson_low": float(low), "wilson_high": float(high)}
 
 
 def measure_solvability(
@@ -143,7 +97,7 @@ def measure_solvability(
     folder: Path = FOLDER,
     quiet: bool = False,
 ) -> dict[str, Any]:
-    """Plan scenes and write ``scenes.csv`` and ``summary.json``.
+    """Plan scenes and write ``scenes.csv``, a row a scene, and ``summary.json``, computed from it.
 
     Args:
         tests: Number of scenes.
@@ -155,26 +109,29 @@ def measure_solvability(
 
     Returns:
         The summary.
+
+    Raises:
+        UserError: On numbers out of range or a place that cannot be written, before any scene is planned.
     """
-    begun = time.monotonic()
-    rows = solve_scenes(tests, first_seed, variants=variants, quiet=quiet)
-    summary = {
-        "first_seed": first_seed,
-        "most_variants": variants,
-        **summarise_solvability(rows),
-        "seconds": round(time.monotonic() - begun, 2),
-        "origin": provenance(),
-    }
-    table = pd.DataFrame(rows)
-    write_atomically(folder / "scenes.csv", lambda path: table.to_csv(path, index=False, lineterminator="\n"))
-    record_origin(folder / "scenes.csv")
-    for path in [folder / "summary.json", *([json] if json else [])]:
-        write_json(path, summary)
+    begun, seeds = time.monotonic(), scene_seeds(tests, first_seed)
+    RescuePlanner(variants)  # a bad cap fails here, in one line, and not in a worker
+    table, summaries = folder / "scenes.csv", [folder / "summary.json", *([json] if json else [])]
+    for path in [table, *summaries]:
+        check_writable(path)
+    with locked(folder, "results of the planner"):
+        rows = map_scenes(partial(_solve, variants=variants), seeds, title="planner", quiet=quiet)
+        scenes = pd.DataFrame(rows).round(3)
+        took = {"seconds": round(time.monotonic() - begun, 2), "origin": provenance()}
+        summary = {"first_seed": first_seed, "most_variants": variants} | summarise_solvability(scenes) | took
+        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n"))
+        record_origin(table)
+        for path in summaries:
+            write_json(path, summary)
     return summary
 
 
 def print_solvability(summary: dict[str, Any], tell: Callable[[str], object]) -> None:
-    """Print shares and weak spots."""
+    """Print shares and weak spots, a line each, with ``tell``."""
     for share in summary["shares"].values():
         rate, low, high = (100 * share[key] for key in ("share", "wilson_low", "wilson_high"))
         tell(f"{share['meaning']}: {share['scenes']} of {summary['tests']}, {rate:.1f} % [{low:.1f}, {high:.1f}]")

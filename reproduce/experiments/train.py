@@ -168,7 +168,7 @@ class _Run:
                 with _tensorboard(tensorboard, self.progress.steps) as writer:
                     self._loop(training, writer)
                 self._finish(training, origin)
-        except WorkerError as error:
+        except (WorkerError, RunFailedError) as error:
             raise RunFailedError(f"{self.folder}: {error}") from error
         except KeyboardInterrupt:
             done, where = self.progress.update, f"update {self.saved.update}" if self.saved.update else "the beginning"

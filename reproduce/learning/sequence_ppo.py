@@ -16,16 +16,31 @@ from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
-from reproduce.learning.sequences import Minibatch, Rollout, minibatches, sequence_bounds
-from reproduce.learning.standardiser import Standardiser
+from reproduce.learning.finite import check_losses
+from reproduce.learning.sequences import (
+    TARGETS,
+    Minibatch,
+    Rollout,
+    advantages_and_returns,
+    minibatches,
+    sequence_bounds,
+)
+from reproduce.learning.standardiser import observe_all
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 
-RATE_STEP = 1.2  # by which the learning rate changes after an update, where it follows the KL
+RATE_STEP = 1.2  # factor by which the learning rate changes after an update, where it follows the KL
 LEAST_FACTOR = 1.0 / 30.0
 
 
 class SequencePPO(RecurrentPPO):
-    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM."""
+    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM.
+
+    Attributes:
+        external_rollout: Transitions to train on that were collected elsewhere; SGN's are collected in LLN's view.
+        return_cuts: After which steps returns are cut although episode and memory go on, (n_steps, n_envs).
+        rate_factor: What the schedule's learning rate is multiplied by, in [1 / 30, 1].
+        where: Name of the learner and number of the update, for errors; a training sets it.
+    """
 
     def __init__(
         self,
@@ -35,16 +50,16 @@ class SequencePPO(RecurrentPPO):
         desired_kl: tuple[float, float] = (0.0, 0.0),
         **kwargs: Any,
     ) -> None:
-        """As RecurrentPPO.
+        """Make a learner as RecurrentPPO does, with three settings more.
 
         Args:
             *args: See ``RecurrentPPO``.
             sequence_length: Most steps that the gradient flows back through time.
             log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
                 and the share of the training at which it has come down.
-            desired_kl: At the beginning and at the end of the training, on a line between. Where positive, the learning
-                rate is the schedule's times a factor in [1 / 30, 1] that falls when an update's approximate KL is over
-                twice this and rises when it is under half.
+            desired_kl: KL of an update at the beginning and at the end of the training, on a line between. Where
+                positive, ``rate_factor`` falls when an update's approximate KL is over twice this and rises when it is
+                under half.
             **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
         """
         if sequence_length < 1:
@@ -52,30 +67,29 @@ class SequencePPO(RecurrentPPO):
         self.sequence_length = sequence_length
         self.log_std_line, self.desired_kl = log_std_line, desired_kl
         self.rate_factor = 1.0
-        #: Set to train on transitions that were collected elsewhere (the high level collects in its wrapper).
         self.external_rollout: Rollout | None = None
-        #: After which steps returns are cut although the episode and the memory go on, (n_steps, n_envs).
         self.return_cuts: NDArray[np.bool_] | None = None
+        self.where = type(self).__name__
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
 
     def state_tensors(self) -> dict[str, th.Tensor]:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Return weights and moments of the optimiser; see ``checkpoint.Learner``."""
         return {**module_tensors("policy", self.policy), **optimizer_tensors("optimizer", self.policy.optimizer)}
 
     def state_numbers(self) -> dict[str, Any]:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Return the state of the minibatches' generator and the rate factor; see ``checkpoint.Learner``."""
         return {"batch_rng": self.batch_rng.bit_generator.state, "rate_factor": self.rate_factor}
 
     def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
-        """See ``reproduce.storage.checkpoint.Learner``."""
+        """Go on from what the two methods above returned; see ``checkpoint.Learner``."""
         restore_module("policy", self.policy, tensors)
         restore_optimizer("optimizer", self.policy.optimizer, tensors)
         self.batch_rng.bit_generator.state = numbers["batch_rng"]
         self.rate_factor = float(numbers["rate_factor"])
 
     def rollout(self) -> Rollout:
-        """The transitions to train on, environments end to end."""
+        """Return the transitions to train on, environments end to end."""
         if self.external_rollout is not None:
             return self.external_rollout
         buffer = self.rollout_buffer
@@ -100,35 +114,32 @@ class SequencePPO(RecurrentPPO):
         )
 
     def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
-        """Advantages and returns anew, with nothing flowing back over a cut."""
-        running = np.zeros(buffer.n_envs, np.float32)
-        # What follows the last step is in the advantages that SB3 computed: A = r + gamma V' - V there.
-        last = buffer.advantages[-1]
-        for t in reversed(range(buffer.buffer_size)):
-            going_on = ~cuts[t]
-            if t == buffer.buffer_size - 1:
-                running = np.where(going_on, last, buffer.rewards[t] - buffer.values[t])
-            else:
-                delta = buffer.rewards[t] + self.gamma * buffer.values[t + 1] * going_on - buffer.values[t]
-                running = delta + self.gamma * self.gae_lambda * going_on * running
-            buffer.advantages[t] = running
-        buffer.returns = buffer.advantages + buffer.values
+        """Estimate advantages and returns anew, with nothing flowing back over a cut."""
+        rewards, ends = buffer.rewards.astype(np.float64), cuts.copy()
+        # What follows the rollout is in SB3's last advantage, r + gamma V' - V.
+        rewards[-1] = np.where(cuts[-1], rewards[-1], buffer.advantages[-1] + buffer.values[-1])
+        ends[-1] = True
+        buffer.advantages, buffer.returns = advantages_and_returns(
+            rewards, buffer.values, np.zeros(buffer.n_envs), ends, self.gamma, self.gae_lambda
+        )
 
     def train(self) -> None:
-        """Take ``n_epochs`` passes over the rollout; losses as in RecurrentPPO."""
+        """Take ``n_epochs`` passes over the rollout, with RecurrentPPO's losses.
+
+        Raises:
+            RunFailedError: When a loss is not finite; no step is taken by it.
+        """
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         for group in self.policy.optimizer.param_groups:
             group["lr"] *= self.rate_factor
         rollout = self.rollout()
-        tensors = {
-            name: th.from_numpy(getattr(rollout, name))
-            for name in ("actions", "log_probs", "values", "advantages", "returns")
-        }
+        targets = {name: th.from_numpy(getattr(rollout, name)) for name in TARGETS}
         logs: list[dict[str, float]] = []
         for _ in range(self.n_epochs):
             for batch in minibatches(rollout, self.batch_size or len(rollout), self.batch_rng):
-                loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in tensors.items()})
+                loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in targets.items()})
+                check_losses(self.where, log)
                 logs.append(log)
                 if self.target_kl is not None and log["approx_kl"] > 1.5 * self.target_kl:
                     break
@@ -141,22 +152,23 @@ class SequencePPO(RecurrentPPO):
                 continue
             break
         self._limit_noise()
-        self._observe(rollout)
+        # Only now, so that the rollout's log probabilities stayed what they were while it was learnt from.
+        observe_all(self.policy, rollout.observations)
         self._record(rollout, logs)
         if self.desired_kl[0] > 0.0:
             self._follow_kl(float(np.mean([log["approx_kl"] for log in logs])))
 
     @th.no_grad()
     def _limit_noise(self) -> None:
-        """Keep exploration under its line; what is learnt below it stays."""
+        """Lower the standard deviations of exploration to their line; those below it stay."""
         if self.log_std_line is not None:
             first, last, share = self.log_std_line
-            gone = min(1.0, (1.0 - self._current_progress_remaining) / share)
+            progress = min(1.0, (1.0 - self._current_progress_remaining) / share)
             if last < first:
-                self.policy.log_std.clamp_(max=first + gone * (last - first))
+                self.policy.log_std.clamp_(max=first + progress * (last - first))
 
     def _follow_kl(self, kl: float) -> None:
-        """A fixed rate makes steps that are too large once exploration is small."""
+        """Adapt the learning rate: a fixed one makes steps that are too large once exploration is small."""
         first, last = self.desired_kl
         desired = last + self._current_progress_remaining * (first - last)
         if kl > 2.0 * desired:
@@ -164,19 +176,13 @@ class SequencePPO(RecurrentPPO):
         elif kl < 0.5 * desired:
             self.rate_factor = min(self.rate_factor * RATE_STEP, 1.0)
 
-    def _observe(self, rollout: Rollout) -> None:
-        """Let standardisers see the rollout, after training, so that its log probabilities stay what they were."""
-        for module in self.policy.modules():
-            if isinstance(module, Standardiser):
-                module.observe(th.from_numpy(rollout.observations))
-
     def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
-        """PPO's loss of one minibatch and what is worth logging."""
+        """Return PPO's loss of one minibatch, and its parts by name for logging."""
         progress = self._current_progress_remaining
         clip = self.clip_range(progress)  # type: ignore[operator]
         values, log_prob, entropy = self.evaluate_sequences(batch, data["actions"])
         advantages = data["advantages"]
-        if self.normalize_advantage:
+        if self.normalize_advantage and len(advantages) > 1:  # one alone has no deviation
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         ratio = th.exp(log_prob - data["log_probs"])
         policy_loss = -th.min(advantages * ratio, advantages * th.clamp(ratio, 1 - clip, 1 + clip)).mean()
@@ -190,17 +196,17 @@ class SequencePPO(RecurrentPPO):
         with th.no_grad():
             log_ratio = log_prob.detach() - data["log_probs"]
             log = {
-                "loss": float(loss.detach()),
                 "policy_gradient_loss": float(policy_loss.detach()),
                 "value_loss": float(value_loss.detach()),
                 "entropy_loss": float(entropy_loss.detach()),
+                "loss": float(loss.detach()),
                 "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
                 "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
             }
         return loss, log
 
     def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
-        """Values, log probabilities and entropies of the real transitions of a minibatch, one LSTM call."""
+        """Return values, log probabilities and entropies (m,) of a minibatch's real transitions, by one LSTM call."""
         policy: Any = self.policy  # sb3-contrib types its parts too loosely to follow
         features = policy.extract_features(batch.observations.flatten(0, 1))
         pi_features, vf_features = (features, features) if policy.share_features_extractor else features
@@ -228,6 +234,6 @@ class SequencePPO(RecurrentPPO):
 
 
 def _env_major(array: Any) -> Any:
-    """(t, n, ...) to (n * t, ...), float32, each environment's steps together."""
+    """Lay (t, n, ...) out as (n * t, ...) in float32, each environment's steps together."""
     swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
     return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch as th
@@ -16,20 +17,23 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 
+#: Columns of a rollout that a loss compares with what the network says now.
+TARGETS = ("actions", "log_probs", "values", "advantages", "returns")
+
 
 @dataclass
 class Rollout:
-    """Transitions of several environments, one after another in time within each, environments end to end.
+    """Transitions of several environments: in the order of time within each, environments end to end.
 
     Attributes:
         observations: (m, d).
         actions: (m, a), as drawn (not clipped).
-        log_probs: Of the actions when drawn (m,).
-        values: Of the observations when seen (m,).
+        log_probs: Logarithm of the actions' probability density when they were drawn, (m,).
+        values: The critic's values when the observations were seen, (m,).
         advantages: (m,).
         returns: (m,).
-        hidden: LSTM state before each observation (m, 2, h).
-        bounds: Beginnings and ends of the sequences, (s, 2).
+        hidden: LSTM state before each observation, (m, 2, h).
+        bounds: Beginning and end of each sequence, (s, 2).
     """
 
     observations: Floats
@@ -42,7 +46,7 @@ class Rollout:
     bounds: NDArray[np.int64]
 
     def __len__(self) -> int:
-        """Number of transitions."""
+        """Return the number of transitions, m."""
         return len(self.observations)
 
 
@@ -68,8 +72,11 @@ def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[
 
     Args:
         starts: Which transitions begin an episode, (t,).
-        first: Index of the first of them in the whole rollout.
+        first: Index of the environment's first transition in the whole rollout.
         length: Most transitions in a sequence.
+
+    Returns:
+        Beginning and end of each sequence, as indices into the whole rollout.
     """
     cuts = [0, *[int(i) for i in np.flatnonzero(starts) if i > 0], len(starts)]
     bounds = []
@@ -84,9 +91,9 @@ def minibatches(rollout: Rollout, batch_size: int, rng: np.random.Generator) -> 
     lengths = np.diff(rollout.bounds[order], axis=1)[:, 0]
     count = max(1, round(len(rollout) / batch_size))
     ends = np.searchsorted(np.cumsum(lengths), np.linspace(0, len(rollout), count + 1)[1:-1])
-    for chosen in np.split(order, ends):
-        if len(chosen):
-            yield _minibatch(rollout, rollout.bounds[chosen])
+    for sequences in np.split(order, ends):
+        if len(sequences):
+            yield _minibatch(rollout, rollout.bounds[sequences])
 
 
 def _minibatch(rollout: Rollout, bounds: NDArray[np.int64]) -> Minibatch:
@@ -104,32 +111,30 @@ def _minibatch(rollout: Rollout, bounds: NDArray[np.int64]) -> Minibatch:
 
 
 def advantages_and_returns(
-    rewards: Floats,
-    values: Floats,
-    starts: NDArray[np.bool_],
-    last_value: float,
-    last_done: bool,
-    gamma: float,
-    lam: float,
+    rewards: NDArray[Any], values: NDArray[Any], last_values: Any, ends: NDArray[np.bool_], gamma: float, lam: float
 ) -> tuple[Floats, Floats]:
-    """Generalised advantage estimation over one environment's transitions, (t,) each.
+    """Estimate advantages and returns by generalised advantage estimation (Schulman et al. 2016, Eq. 16).
+
+    Time comes first; further axes, such as environments, are independent of each other. Sums are in double precision.
 
     Args:
-        rewards: r_t.
-        values: V(s_t).
-        starts: Whether s_t begins an episode.
-        last_value: V of the state after the last transition.
-        last_done: Whether the last transition ended its episode.
+        rewards: r_t, (t, ...).
+        values: V(s_t), (t, ...).
+        last_values: V of the state after the last step, (...); ignored where the last step ended an episode.
+        ends: Whether nothing that comes after the step counts, as its episode ended with it, (t, ...).
         gamma: Discount.
         lam: GAE's lambda.
+
+    Returns:
+        Advantages and returns (advantage plus value), (t, ...) each.
     """
-    steps = len(rewards)
-    following = np.append(values[1:], last_value)
-    going_on = 1.0 - np.append(starts[1:], last_done).astype(np.float32)
-    advantages = np.zeros(steps, np.float32)
-    running = 0.0
-    for t in range(steps - 1, -1, -1):
-        delta = rewards[t] + gamma * following[t] * going_on[t] - values[t]
-        running = delta + gamma * lam * going_on[t] * running
+    going_on = 1.0 - ends
+    following = np.concatenate([values[1:], np.asarray(last_values)[None]])
+    deltas = rewards + gamma * going_on * following - values
+    advantages = np.zeros_like(deltas)
+    running = np.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        running = deltas[t] + gamma * lam * going_on[t] * running
         advantages[t] = running
-    return advantages, advantages + values
+    single = advantages.astype(np.float32)
+    return single, single + values

@@ -1,8 +1,10 @@
-"""Standardised observations inside the network."""
+"""Observations standardised inside the network."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch as th
+from numpy.typing import NDArray
 from torch import nn
 
 LIMIT = 5.0  # standard deviations
@@ -13,7 +15,7 @@ class Standardiser(nn.Module):
     """Subtracts the mean and divides by the standard deviation of the observations of past rollouts.
 
     Distances of centimetres decide here, beside coordinates of metres: without it learning is several times slower
-    (see the training log). The statistics are buffers, so they travel with the weights.
+    (see the training log). The statistics are buffers, so they travel with the weights. It begins as the identity.
     """
 
     mean: th.Tensor
@@ -21,18 +23,13 @@ class Standardiser(nn.Module):
     count: th.Tensor
 
     def __init__(self, size: int) -> None:
-        """Start as the identity.
-
-        Args:
-            size: Of the observation.
-        """
         super().__init__()
         self.register_buffer("mean", th.zeros(size))
         self.register_buffer("variance", th.ones(size))
         self.register_buffer("count", th.zeros(1))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """(..., d) to (..., d), within +-LIMIT."""
+        """Standardise observations (..., d), within ``LIMIT`` deviations."""
         scaled = (observations - self.mean) / th.sqrt(self.variance + LEAST_DEVIATION**2)
         return th.clamp(scaled, -LIMIT, LIMIT)
 
@@ -46,3 +43,10 @@ class Standardiser(nn.Module):
         self.mean += delta * new / total
         self.variance.copy_(spread / total)
         self.count.fill_(total)
+
+
+def observe_all(network: nn.Module, observations: NDArray[np.float32]) -> None:
+    """Let every standardiser inside a network see the observations of a rollout (m, d)."""
+    for module in network.modules():
+        if isinstance(module, Standardiser):
+            module.observe(th.from_numpy(observations))

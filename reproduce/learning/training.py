@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
 
 from lunar_rescue.scenes.postures import Posture, postures
 from reproduce.learning.config import LearnerConfig, TrainingConfig
 from reproduce.learning.mirror import Environments, MirroredVecEnv
+from reproduce.learning.vec_env import ClosedVecEnv
 from reproduce.learning.workers import EnvOptions, WorkerVecEnv
 
 
@@ -120,9 +120,10 @@ class CollectedTraining:
         start_collecting(self._collector, self.config.steps, self.callback)
 
     def follow_schedule(self, done: int) -> None:
-        """Tell the learners which share of the training is done."""
-        for learner in self.learners.values():
+        """Tell the learners which share of the training is done, and for errors their level and update."""
+        for level, learner in self.learners.items():
             learner._current_progress_remaining = max(0.0, 1.0 - done / self.config.steps)
+            learner.where = f"{level}, update {done // self.steps_per_update + 1}"
 
     def row(self) -> dict[str, Any]:
         """The row of ``progress.csv`` for what happened since the last one."""
@@ -154,26 +155,16 @@ class RecurrentTraining(CollectedTraining):
         self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
 
 
-class OnlySpaces(VecEnv):
+class OnlySpaces(ClosedVecEnv):
     """Spaces for a learner whose transitions are collected elsewhere; it is never stepped."""
 
     def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any], count: int) -> None:
-        """Keep the spaces."""
-        self.render_mode = None
         super().__init__(count, observation_space, action_space)
 
     def _never(self, *args: Any, **kwargs: Any) -> Any:
         raise RuntimeError("OnlySpaces: this learner's transitions are collected by SubGoalVecEnv")
 
-    reset = step_async = step_wait = set_attr = env_method = _never
+    reset = step_async = step_wait = _never
 
     def close(self) -> None:
-        """Nothing to close."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Only ``render_mode``, which SB3 asks for."""
-        return [None] * self.num_envs
-
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Nothing is wrapped."""
-        return [False] * self.num_envs
+        """Close nothing, as nothing was started."""

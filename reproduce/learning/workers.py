@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import traceback
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import RawArray
@@ -19,7 +17,6 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
 from lunar_rescue import Scene, rewards, sample_scene
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
@@ -27,12 +24,15 @@ from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.learning.splits import train_seed
+from reproduce.learning.vec_env import ClosedVecEnv
+from reproduce.storage.processes import die_with_parent, start_fork_server
 
 #: Names of the reward's terms in the order of the shared array.
 TERMS = tuple(term.name for term in rewards.TERMS)
 #: Return of an ended episode by the environment's own reward, AAPF included, whichever obstacle reward is trained with.
 RETURN = "own_return"
 EASY_POSTURE = "left_side_stride"
+Floats = NDArray[np.float32]
 _STEP, _RESET, _CLOSE = b"s", b"r", b"c"
 _SPAWN = multiprocessing.get_context("forkserver")
 
@@ -43,12 +43,12 @@ class WorkerError(RuntimeError):
 
 @dataclass(frozen=True)
 class EnvOptions:
-    """How each environment is made.
+    """How the environments of all workers are made and which scenes they show.
 
     Attributes:
         arguments: Keyword arguments of ``LunarRescueEnv``.
         postures: Postures to draw from; empty means all.
-        easy: Whether all scenes are those of ``easy_scene``.
+        easy: Whether every scene is one of ``easy_scene``.
     """
 
     arguments: dict[str, Any]
@@ -56,58 +56,65 @@ class EnvOptions:
     easy: bool = False
 
 
-def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, NDArray[np.float32]]:
+def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
     raw = RawArray("f", int(np.prod(shape))) if raw is None else raw
     return raw, np.frombuffer(raw, dtype=np.float32).reshape(shape)
 
 
-def _work(
-    pipe: Connection, raws: list[Any], count: int, first: int, indices: range, options: EnvOptions, seed: int
-) -> None:
-    """Step this worker's share of the environments until told to close."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
-    try:
-        observations, actions, summed, dones, terms = (
-            _shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)
-        )
-        envs = [LunarRescueEnv(**options.arguments) for _ in indices]
-        episodes = [0] * len(envs)
-        totals = [0.0] * len(envs)
-        epoch = 0
+class _Worker:
+    """One worker's share of the environments, on arrays that it shares with the others and the parent."""
 
-        def begin(slot: int) -> None:
-            draw = train_seed(seed, first + slot, epoch, episodes[slot])
-            chosen = _options(draw, options)
-            observations[indices[slot]], _ = envs[slot].reset_flat(draw, chosen)
-            episodes[slot] += 1
-            totals[slot] = 0.0
+    def __init__(self, raws: list[Any], indices: range, count: int, options: EnvOptions, seed: int) -> None:
+        arrays = [_shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)]
+        self._observations, self._actions, self._rewards, self._dones, self._terms = arrays
+        self._envs = {index: LunarRescueEnv(**options.arguments) for index in indices}
+        self._options, self._seed = options, seed
 
+    def serve(self, pipe: Connection) -> None:
+        """Say that the environments are made, then answer commands until told to close."""
         pipe.send(None)
-        while True:
-            command = pipe.recv_bytes()
+        while (command := pipe.recv_bytes()) != _CLOSE:
             if command == _STEP:
-                ended: list[tuple[int, dict[str, Any]]] = []
-                for slot, index in enumerate(indices):
-                    vector, reward, terminated, truncated, info = envs[slot].step_flat(actions[index])
-                    summed[index] = reward
-                    terms[index] = [info["reward_terms"][name] for name in TERMS]
-                    totals[slot] += reward - info["reward_terms"]["obstacle_avoidance"] + info["aapf"]
-                    dones[index] = float(terminated or truncated)
-                    if terminated or truncated:
-                        final = _final_info(info, vector, truncated and not terminated)
-                        ended.append((index, {**final, RETURN: totals[slot]}))
-                        begin(slot)
-                    else:
-                        observations[index] = vector
-                pipe.send(ended)
-            elif command[:1] == _RESET:
-                epoch = int(command[1:])
-                for slot in range(len(envs)):
-                    episodes[slot] = 0
-                    begin(slot)
-                pipe.send(None)
+                pipe.send(self.step())
             else:
-                break
+                self.reset(int(command[1:]))
+                pipe.send(None)
+
+    def reset(self, epoch: int) -> None:
+        """Begin the first episodes of an epoch."""
+        self._epoch, self._episodes, self._returns = epoch, dict.fromkeys(self._envs, 0), dict.fromkeys(self._envs, 0.0)
+        for index in self._envs:
+            self._begin(index)
+
+    def step(self) -> list[tuple[int, dict[str, Any]]]:
+        """Step all environments; return index and final info of those whose episode ended."""
+        return [(index, final) for index in self._envs if (final := self._step(index)) is not None]
+
+    def _step(self, index: int) -> dict[str, Any] | None:
+        vector, reward, terminated, truncated, info = self._envs[index].step_flat(self._actions[index])
+        terms = info["reward_terms"]
+        self._rewards[index], self._terms[index] = reward, [terms[name] for name in TERMS]
+        self._returns[index] += reward - terms["obstacle_avoidance"] + info["aapf"]
+        self._dones[index] = float(terminated or truncated)
+        if not (terminated or truncated):
+            self._observations[index] = vector
+            return None
+        outcome = {name: info[name] for name in OUTCOME} | {RETURN: self._returns[index]}
+        self._begin(index)
+        return {**outcome, "terminal_observation": vector, "TimeLimit.truncated": truncated and not terminated}
+
+    def _begin(self, index: int) -> None:
+        draw = train_seed(self._seed, index, self._epoch, self._episodes[index])
+        self._observations[index], _ = self._envs[index].reset_flat(draw, _options(draw, self._options))
+        self._episodes[index] += 1
+        self._returns[index] = 0.0
+
+
+def _work(pipe: Connection, *share: Any) -> None:
+    """Serve a ``_Worker`` until told to close or until the parent is gone."""
+    die_with_parent()
+    try:
+        _Worker(*share).serve(pipe)
     except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
         pass  # the parent is gone
     except Exception:  # sent to the parent, which raises it by name
@@ -115,7 +122,7 @@ def _work(
 
 
 def easy_scene(seed: int) -> Scene:
-    """One posture, no rocks, the lightest astronaut: where a method must learn that learns at all."""
+    """Draw a scene of one posture with the lightest astronaut and no rocks, which any method that works can learn."""
     return replace(sample_scene(seed, posture=EASY_POSTURE), rocks=(), mass=MASS_RANGE[0])
 
 
@@ -125,15 +132,11 @@ def _options(seed: int, options: EnvOptions) -> dict[str, Any]:
     return {"posture": options.postures[seed % len(options.postures)]} if options.postures else {}
 
 
-def _final_info(info: dict[str, Any], vector: NDArray[np.float32], truncated: bool) -> dict[str, Any]:
-    return {**{k: info[k] for k in OUTCOME}, "terminal_observation": vector, "TimeLimit.truncated": truncated}
-
-
 def _shapes(count: int) -> list[tuple[int, ...]]:
     return [(count, SIZE), (count, JOINTS), (count,), (count,), (count, len(TERMS))]
 
 
-class WorkerVecEnv(VecEnv):
+class WorkerVecEnv(ClosedVecEnv):
     """SB3's vectorised environment over flat observations of ``LunarRescue-v0``.
 
     Attributes:
@@ -142,13 +145,17 @@ class WorkerVecEnv(VecEnv):
     """
 
     def __init__(self, count: int, seed: int, options: EnvOptions | None = None, workers: int | None = None) -> None:
-        """Start the workers.
+        """Start worker processes and wait until their environments are made.
 
         Args:
             count: Number of environments.
-            seed: Of the run; scenes follow from it.
+            seed: The run's, from which all scenes follow.
             options: How environments are made.
-            workers: Worker processes; None is one a core.
+            workers: Number of worker processes; None is one a core.
+
+        Raises:
+            ValueError: When there are no environments.
+            WorkerError: When a worker cannot make its environments.
         """
         if count < 1:
             raise ValueError(f"count: expected at least 1 environment, got {count!r}")
@@ -157,33 +164,31 @@ class WorkerVecEnv(VecEnv):
         self._observations, self._actions, self._rewards, self._dones, self.terms = arrays
         self._pipes: list[Any] = []
         self._processes: list[Any] = []
-        self.render_mode = None
         self.epoch = 0
-        super().__init__(
-            count,
-            spaces.Box(-BOUND, BOUND, (SIZE,), np.float32),
-            spaces.Box(-1.0, 1.0, (JOINTS,), np.float32),
-        )
+        acts = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
+        super().__init__(count, spaces.Box(-BOUND, BOUND, (SIZE,), np.float32), acts)
         for part in np.array_split(np.arange(count), workers):
-            self._start(range(int(part[0]), int(part[-1]) + 1), count, options or EnvOptions({}), seed)
-        for index in range(len(self._pipes)):
-            self._receive(index)
+            self._start(range(int(part[0]), int(part[-1]) + 1), options or EnvOptions({}), seed)
+        self._receive_all()
 
-    def _start(self, indices: range, count: int, options: EnvOptions, seed: int) -> None:
+    def _start(self, indices: range, options: EnvOptions, seed: int) -> None:
         ours, theirs = _SPAWN.Pipe()
-        arguments = (theirs, list(self._raws), count, indices[0], indices, options, seed)
+        arguments = (theirs, list(self._raws), indices, self.num_envs, options, seed)
+        start_fork_server()
         process = _SPAWN.Process(target=_work, args=arguments, daemon=True)
         process.start()
         theirs.close()
         self._pipes.append(ours)
         self._processes.append(process)
 
+    def _receive_all(self) -> list[Any]:
+        return [self._receive(index) for index in range(len(self._pipes))]
+
     def _receive(self, index: int) -> Any:
         try:
             answer = self._pipes[index].recv()
         except (EOFError, ConnectionResetError):
-            code = self._processes[index].exitcode
-            raise WorkerError(f"worker {index} of {len(self._pipes)} died (exit code {code})") from None
+            raise self._death(index) from None
         if isinstance(answer, WorkerError):
             raise WorkerError(f"worker {index} of {len(self._pipes)} raised:\n{answer}")
         return answer
@@ -192,29 +197,29 @@ class WorkerVecEnv(VecEnv):
         for index, pipe in enumerate(self._pipes):
             try:
                 pipe.send_bytes(message)
-            except (BrokenPipeError, OSError):
-                code = self._processes[index].exitcode
-                raise WorkerError(f"worker {index} of {len(self._pipes)} died (exit code {code})") from None
+            except OSError:
+                raise self._death(index) from None
 
-    def reset(self) -> NDArray[np.float32]:
+    def _death(self, index: int) -> WorkerError:
+        code = self._processes[index].exitcode
+        return WorkerError(f"worker {index} of {len(self._pipes)} died (exit code {code})")
+
+    def reset(self) -> Floats:
         """Begin new episodes everywhere; scenes follow from the run's seed and ``epoch``."""
         self._send(_RESET + str(self.epoch).encode())
-        for index in range(len(self._pipes)):
-            self._receive(index)
+        self._receive_all()
         return self._observations.copy()
 
-    def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Send actions (n, 11)."""
+    def step_async(self, actions: Floats) -> None:
+        """Send the environments' actions (n, 11) and return without waiting."""
         self._actions[:] = actions
         self._send(_STEP)
 
-    def step_wait(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
         """Wait for all workers; an ended episode's last observation is in its info."""
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for index in range(len(self._pipes)):
-            for env, info in self._receive(index):
+        for ended in self._receive_all():
+            for env, info in ended:
                 infos[env] = info
         return self._observations.copy(), self._rewards.copy(), self._dones.astype(bool), infos
 
@@ -224,32 +229,10 @@ class WorkerVecEnv(VecEnv):
             try:
                 pipe.send_bytes(_CLOSE)
                 pipe.close()
-            except (BrokenPipeError, OSError):
-                pass
+            except OSError:
+                pass  # it is gone already
         for process in self._processes:
             process.join(timeout=5)
             if process.is_alive():
-                process.terminate()
+                process.kill()
         self._pipes, self._processes = [], []
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Only ``render_mode``, which SB3 asks for."""
-        if attr_name == "render_mode":
-            return [None] * self.num_envs
-        raise AttributeError(f"WorkerVecEnv: environments live in workers; {attr_name!r} is not available")
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Not available: environments live in workers."""
-        raise AttributeError(f"WorkerVecEnv: environments live in workers; {attr_name!r} cannot be set")
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Not available: environments live in workers."""
-        raise AttributeError(f"WorkerVecEnv: environments live in workers; {method_name!r} cannot be called")
-
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """No environment is wrapped."""
-        return [False] * self.num_envs
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seeds are fixed when the workers start; SB3 calls this and expects a list."""
-        return [None] * self.num_envs

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import torch as th
@@ -15,6 +13,7 @@ from lunar_rescue.physics.robot import CONTROL_STEP
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.runs import Run
 from reproduce.experiments.methods import METHODS
+from reproduce.storage.processes import map_in_processes
 
 MOST_SCENES = 3000  # looked through for a posture
 
@@ -72,13 +71,8 @@ def _where(run: Run) -> str:
 def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
     """Write the replays' pages; return how each one ended, in words."""
     folder.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("forkserver"), _prepare) as pool:
-        endings = list(pool.map(_make, clips, [folder] * len(clips)))
+    endings = map_in_processes(partial(_make, folder=folder), clips, prepare=th.set_num_threads, arguments=(1,))
     return dict(zip(clips, endings, strict=True))
-
-
-def _prepare() -> None:
-    th.set_num_threads(1)
 
 
 def _make(clip: Clip, folder: Path) -> str:

@@ -160,6 +160,7 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
             progress_bar=True,
             autosave_cell_every=0,
             shutdown_kernel="immediate",  # one that is asked to end is interrupted first, and says so on the terminal
+            extra_arguments=["--log-level=CRITICAL"],  # a kernel that is interrupted has nothing to say
         )
     except (PapermillExecutionError, DeadKernelError) as error:
         what = f"{error.ename}: {error.evalue}" if isinstance(error, PapermillExecutionError) else "the kernel died"
@@ -191,7 +192,8 @@ def is_complete(path: Path) -> bool:
 
 
 def _completed(cell: Any) -> bool:
-    return bool(cell.metadata.get("papermill", {}).get("status") == "completed")
+    # papermill calls cells completed that a dead kernel never began.
+    return cell.metadata.get("papermill", {}).get("status") == "completed" and cell.execution_count is not None
 
 
 def _source_cells(path: Path) -> list[Any]:

@@ -25,16 +25,24 @@ from torch.nn import functional
 from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.network import FunNetwork
 from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, as_tensor, env_major
-from reproduce.baselines.feudal.signals import advantages_and_returns, directions, intrinsic_rewards
+from reproduce.baselines.feudal.signals import directions, intrinsic_rewards
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.sequences import Minibatch, Rollout
+from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns
 
 
 class FunPPO(SequencePPO):
-    """SequencePPO for Worker, with a Manager above it."""
+    """SequencePPO for Worker, with a Manager above it.
+
+    Attributes:
+        fun: What only this method has.
+        memory: What both levels remember of the episodes under way; emptied where one begins.
+    """
+
+    policy: FunNetwork  # type: ignore[assignment]  # SB3 believes that every policy is its ActorCriticPolicy
+    rollout_buffer: FunBuffer
 
     def __init__(self, *args: Any, fun: FunConfig | None = None, **kwargs: Any) -> None:
-        """As SequencePPO, whose discount and lambda are Worker's.
+        """Make a learner as SequencePPO does, whose discount and lambda are Worker's.
 
         Args:
             *args: See ``SequencePPO``; the policy is ``FunNetwork``.
@@ -46,15 +54,8 @@ class FunPPO(SequencePPO):
         kwargs["policy_kwargs"] = {**sizes, **(kwargs.get("policy_kwargs") or {})}
         super().__init__(*args, **kwargs)
 
-    @property
-    def network(self) -> FunNetwork:
-        """The policy, by its own type."""
-        network: Any = self.policy  # SB3 believes that every policy is its ActorCriticPolicy
-        assert isinstance(network, FunNetwork)
-        return network
-
     def _setup_model(self) -> None:
-        """Make network, memory and buffer."""
+        """Make network, memory and buffer; see SB3."""
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         make: Any = self.policy_class
@@ -64,17 +65,15 @@ class FunPPO(SequencePPO):
             self.observation_space,
             self.action_space,
             device="cpu",
-            gamma=self.gamma,
-            gae_lambda=self.gae_lambda,
             n_envs=self.n_envs,
-            network=self.network,
+            spec=self.policy.spec,
             sequence_length=self.sequence_length,
         )
-        self.memory = self.network.empty_memory(self.n_envs)
-        self._last_lstm_states: Any = ()  # sb3-contrib's; ours is ``memory``, emptied where episodes begin
-        # The end of the rollout before, as goals reach over to the next: observations and goals of c - 1 steps.
+        self.memory = self.policy.empty_memory(self.n_envs)
+        self._last_lstm_states: Any = ()  # sb3-contrib's, which ``memory`` stands in for
+        # Goals reach over the end of a rollout: observations and goals of the last c - 1 steps before this one.
         before = self.fun.horizon - 1
-        self._tail_observations = th.zeros(before, self.n_envs, self.network.spec.observations)
+        self._tail_observations = th.zeros(before, self.n_envs, self.policy.spec.observations)
         self._tail_goals = th.zeros(before, self.n_envs, self.fun.goal_size)
         self.clip_range = FloatSchedule(self.clip_range)
         if self.clip_range_vf is not None:
@@ -85,29 +84,28 @@ class FunPPO(SequencePPO):
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: RolloutBuffer, n_rollout_steps: int
     ) -> bool:
         """Step the environments and fill the buffer; see SB3. False if the callback wants to stop."""
-        assert isinstance(rollout_buffer, FunBuffer)
         self.policy.set_training_mode(False)
-        self._keep_tail(rollout_buffer)
+        self._tail_observations = self._tail(self._tail_observations, as_tensor(self.rollout_buffer.observations))
+        self._tail_goals = self._tail(self._tail_goals, self.rollout_buffer.goals)
         rollout_buffer.reset()
         callback.on_rollout_start()
         for _ in range(n_rollout_steps):
-            if not self._collect_step(env, callback, rollout_buffer):
+            if not self._collect_step(env, callback):
                 return False
         callback.on_rollout_end()
         return True
 
-    def _keep_tail(self, buffer: FunBuffer) -> None:
-        before = self.fun.horizon - 1
-        seen = th.cat([self._tail_observations, as_tensor(buffer.observations)])
-        goals = th.cat([self._tail_goals, buffer.goals])
-        self._tail_observations, self._tail_goals = seen[len(seen) - before :], goals[len(goals) - before :]
+    def _tail(self, before: th.Tensor, rollout: th.Tensor) -> th.Tensor:
+        """Return the last c - 1 steps of a rollout that follows ``before``."""
+        return th.cat([before, rollout])[len(rollout) :]
 
-    def _collect_step(self, env: VecEnv, callback: BaseCallback, buffer: FunBuffer) -> bool:
+    def _collect_step(self, env: VecEnv, callback: BaseCallback) -> bool:
         assert isinstance(self.action_space, spaces.Box)
+        buffer = self.rollout_buffer
         observations, starts = np.asarray(self._last_obs, np.float32), np.asarray(self._last_episode_starts, bool)
         self.memory.forget(th.from_numpy(starts))
-        buffer.add_before(self.memory)
-        step = self.network.step(th.from_numpy(observations), self.memory, random_goals=self.fun.random_goals)
+        buffer.add_memory(self.memory)
+        step = self.policy.step(th.from_numpy(observations), self.memory, random_goals=self.fun.random_goals)
         actions = step.actions.numpy()
         new, rewards, dones, infos = env.step(np.clip(actions, self.action_space.low, self.action_space.high))
         self.num_timesteps += env.num_envs
@@ -115,24 +113,24 @@ class FunPPO(SequencePPO):
         if not callback.on_step():
             return False
         self._update_info_buffer(infos, dones)
-        worker, manager = self._rewards(rewards, dones, infos, buffer)
+        worker, manager = self._rewards(rewards, dones, infos)
         buffer.add_levels(step, manager, dones)
         buffer.add(observations, actions, worker, starts, step.worker_values, step.log_probs)
         self._last_obs, self._last_episode_starts = new, dones  # type: ignore[assignment]
         return True
 
     def _rewards(
-        self, rewards: NDArray[Any], dones: NDArray[Any], infos: list[dict[str, Any]], buffer: FunBuffer
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The environment's reward for Worker and Manager; at a time limit what would have come is added, as in SB3."""
+        self, rewards: NDArray[Any], dones: NDArray[Any], infos: list[dict[str, Any]]
+    ) -> tuple[Floats, Floats]:
+        """Return Worker's and Manager's rewards (n,): at a time limit what would have come is added, as in SB3."""
         worker, manager = rewards.astype(np.float32), rewards.astype(np.float32)
         ended = np.flatnonzero(dones)
         if len(ended):
             last = as_tensor([infos[i]["terminal_observation"] for i in ended])
-            buffer.last_observations.append((buffer.pos, ended, last))
+            self.rollout_buffer.last_observations.append((self.rollout_buffer.pos, ended, last))
             cut = np.array([infos[i].get("TimeLimit.truncated", False) for i in ended])
             if cut.any():
-                after = self.network.step(last, self.memory.copy(th.from_numpy(ended)), deterministic=True)
+                after = self.policy.step(last, self.memory.copy(th.from_numpy(ended)), deterministic=True)
                 worker[ended] += self.gamma * cut * after.worker_values.numpy()
                 manager[ended] += self.fun.manager_gamma * cut * after.manager_values.numpy()
         return worker, manager
@@ -140,83 +138,70 @@ class FunPPO(SequencePPO):
     # -- learning ------------------------------------------------------------------------------------------------------
     @th.no_grad()
     def rollout(self) -> FunRollout:
-        """The collected steps as sequences, environments end to end, with all that the two losses need."""
+        """Return the collected steps as sequences, environments end to end, with all that the two losses need."""
         buffer, c = self.rollout_buffer, self.fun.horizon
-        assert isinstance(buffer, FunBuffer)
-        states, following = self._states(buffer)
-        goals = th.cat([self._tail_goals, buffer.goals])
-        intrinsic = intrinsic_rewards(states, following, goals, buffer.clock, c)
+        states, following = self._states()
+        intrinsic = intrinsic_rewards(states, following, th.cat([self._tail_goals, buffer.goals]), buffer.clock, c)
         ways, known = directions(states[c - 1 :], following, buffer.ends, c)
-        worker, manager = self._returns(buffer, intrinsic)
+        worker, manager = self._returns(intrinsic)
         bounds, first_states = buffer.sequences()
-        sequence_of = th.full((buffer.ends.numel(),), -1)
-        sequence_of[bounds[:, 0]] = th.arange(len(bounds))
-        self._rollout = FunRollout(
-            observations=env_major(as_tensor(buffer.observations)).numpy(),
-            actions=env_major(as_tensor(buffer.actions)).numpy(),
-            log_probs=env_major(th.from_numpy(buffer.log_probs)).numpy(),
-            values=env_major(th.from_numpy(buffer.values)).numpy(),
-            advantages=env_major(worker[0]).numpy(),
-            returns=env_major(worker[1]).numpy(),
-            hidden=env_major(buffer.worker_states).numpy(),
-            bounds=bounds,
-            pooled=env_major(buffer.pooled),
-            directions=env_major(ways),
-            known=env_major(known),
-            old_cosines=env_major(functional.cosine_similarity(ways, buffer.own_goals, dim=-1)),
-            manager_advantages=env_major(_standardised(manager[0], known)),
-            manager_returns=env_major(manager[1]),
-            clock=env_major(buffer.clock),
-            manager_states=first_states,
-            sequence_of=sequence_of,
-            intrinsic=env_major(intrinsic),
-            manager_explained=float(
-                explained_variance(buffer.manager_values.numpy().ravel(), manager[1].numpy().ravel())
-            ),
-        )
+        transitions = {
+            **{name: getattr(buffer, name) for name in ("observations", "actions", "log_probs", "values")},
+            **{"advantages": worker[0], "returns": worker[1], "hidden": buffer.worker_states},
+        }
+        levels = {
+            "pooled": buffer.pooled,
+            "directions": ways,
+            "known": known,
+            "old_cosines": functional.cosine_similarity(ways, buffer.own_goals, dim=-1),
+            "manager_advantages": _standardised(th.from_numpy(manager[0]), known),
+            "manager_returns": th.from_numpy(manager[1]),
+            "clock": buffer.clock,
+            "intrinsic": intrinsic,
+        }
+        columns: dict[str, Any] = {name: env_major(as_tensor(array)).numpy() for name, array in transitions.items()}
+        columns |= {name: env_major(tensor) for name, tensor in levels.items()}
+        explained = float(explained_variance(buffer.manager_values.numpy().ravel(), manager[1].ravel()))
+        self._rollout = FunRollout(**columns, bounds=bounds, manager_states=first_states, manager_explained=explained)
         return self._rollout
 
-    def _returns(
-        self, buffer: FunBuffer, intrinsic: th.Tensor
-    ) -> tuple[tuple[th.Tensor, th.Tensor], tuple[th.Tensor, th.Tensor]]:
-        """Advantages and returns (t, n) of Worker, from R + alpha R^I, and of Manager, from R alone."""
-        last, fun = self.network.step(as_tensor(self._last_obs), self.memory.copy(), deterministic=True), self.fun
-        rewards, values = th.from_numpy(buffer.rewards) + fun.intrinsic_weight * intrinsic, th.from_numpy(buffer.values)
-        worker = advantages_and_returns(rewards, values, last.worker_values, buffer.ends, self.gamma, self.gae_lambda)
-        rewards, values = buffer.manager_rewards, buffer.manager_values
-        manager = advantages_and_returns(
-            rewards, values, last.manager_values, buffer.ends, fun.manager_gamma, fun.manager_gae_lambda
-        )
+    def _returns(self, intrinsic: th.Tensor) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+        """Return advantages and returns (t, n) of Worker, from R + alpha R^I, and of Manager, from R alone."""
+        buffer, fun = self.rollout_buffer, self.fun
+        last = self.policy.step(as_tensor(self._last_obs), self.memory.copy(), deterministic=True)
+        rewards, ends = buffer.rewards + fun.intrinsic_weight * intrinsic.numpy(), buffer.ends.numpy()
+        worker = advantages_and_returns(rewards, buffer.values, last.worker_values, ends, self.gamma, self.gae_lambda)
+        rewards, values, after = buffer.manager_rewards.numpy(), buffer.manager_values.numpy(), last.manager_values
+        manager = advantages_and_returns(rewards, values, after, ends, fun.manager_gamma, fun.manager_gae_lambda)
         return worker, manager
 
-    def _states(self, buffer: FunBuffer) -> tuple[th.Tensor, th.Tensor]:
-        """Manager's states, c - 1 before the rollout first (c - 1 + t, n, d), and what each step led to (t, n, d)."""
-        now = as_tensor(self._last_obs)[None]
-        seen = th.cat([self._tail_observations, as_tensor(buffer.observations), now])
-        states = self.network.states(seen)
-        following = states[self.fun.horizon :].clone()
+    def _states(self) -> tuple[th.Tensor, th.Tensor]:
+        """Return Manager's states from c - 1 steps before the rollout on, (c - 1 + t, n, d), and each step's next."""
+        buffer, now = self.rollout_buffer, as_tensor(self._last_obs)[None]
+        states = self.policy.states(th.cat([self._tail_observations, as_tensor(buffer.observations), now]))
+        following = states[self.fun.horizon :].clone()  # (t, n, d)
         for step, ended, observations in buffer.last_observations:
-            following[step, ended] = self.network.states(observations)
+            following[step, ended] = self.policy.states(observations)
         return states[:-1], following
 
     def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
-        """Worker's loss, which is PPO's on A^D, and Manager's; neither has a gradient in the other's network."""
+        """Return Worker's loss, PPO's on A^D, plus Manager's; neither has a gradient in the other's network."""
         worker, log = super().losses(batch, data)
-        manager, more = self.manager_losses(batch)
-        return worker + manager, {**log, **more}
+        manager, manager_log = self.manager_losses(batch)
+        return worker + manager, {**log, **manager_log}
 
     def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
-        """V^D, log probabilities and entropies of Worker at the real steps of a minibatch."""
+        """Return V^D, log probabilities and entropies of Worker at the real steps of a minibatch, (m,) each."""
         pooled = self._rollout.pooled[batch.rows]
-        distribution, values = self.network.act_towards(batch.observations, batch.hidden, batch.mask, pooled)
+        distribution, values = self.policy.act_towards(batch.observations, batch.hidden, batch.mask, pooled)
         return values, distribution.log_prob(actions).sum(-1), distribution.entropy().sum(-1)
 
     def manager_losses(self, batch: Minibatch) -> tuple[th.Tensor, dict[str, float]]:
-        """The clipped transition policy gradient and V^M's loss, and what is worth logging."""
+        """Return the clipped transition policy gradient plus V^M's loss, and its parts by name for logging."""
         rollout, rows = self._rollout, batch.rows
         first = rows[: batch.mask.shape[1]]  # rows go step by step, and every sequence has a first
-        state = rollout.manager_states[rollout.sequence_of[first]]
-        goals, values = self.network.set_goals(batch.observations, state, rollout.clock[first], batch.mask)
+        states, clock = rollout.states_before(first), rollout.clock[first]
+        goals, values = self.policy.set_goals(batch.observations, states, clock, batch.mask)
         cosines = functional.cosine_similarity(rollout.directions[rows], goals, dim=-1)
         ratio = th.exp(self.fun.concentration * (cosines - rollout.old_cosines[rows]))
         clip = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
@@ -233,14 +218,11 @@ class FunPPO(SequencePPO):
 
     def _record(self, rollout: Rollout, logs: list[dict[str, float]]) -> None:
         super()._record(rollout, logs)
-        assert isinstance(rollout, FunRollout)
-        self.logger.record("train/intrinsic", float(rollout.intrinsic.mean()))
-        self.logger.record("train/manager_explained_variance", rollout.manager_explained)
+        self.logger.record("train/intrinsic", float(self._rollout.intrinsic.mean()))
+        self.logger.record("train/manager_explained_variance", self._rollout.manager_explained)
 
 
 def _standardised(advantages: th.Tensor, known: th.Tensor) -> th.Tensor:
-    """Mean 0 and deviation 1 over the steps that Manager learns from; over a rollout, as its sequences are few."""
-    chosen = advantages[known]
-    if len(chosen) < 2:
-        return advantages
-    return (advantages - chosen.mean()) / (chosen.std() + 1e-8)
+    """Scale to mean 0 and deviation 1 over the steps that Manager learns from; a minibatch has few sequences."""
+    learnt = advantages[known]
+    return advantages if len(learnt) < 2 else (advantages - learnt.mean()) / (learnt.std() + 1e-8)

@@ -24,23 +24,16 @@ from reproduce.learning.networks import StateEncoder
 class DilatedLSTM(nn.Module):
     """r groups of LSTM state with shared weights; at step t group t mod r alone moves.
 
-    The output is the sum of all groups' hidden states, which are the outputs of the last r steps.
+    The output (d,) is the sum of all groups' hidden states, which are the outputs of the last r steps.
     """
 
     def __init__(self, inputs: int, units: int, groups: int) -> None:
-        """Make the LSTM.
-
-        Args:
-            inputs: Size of the input.
-            units: Size of a group's state, and of the output.
-            groups: r.
-        """
         super().__init__()
         self.groups = groups
         self.core = nn.LSTM(inputs, units)
 
     def step(self, inputs: th.Tensor, state: th.Tensor, clock: th.Tensor) -> th.Tensor:
-        """One step: (n, i) to (n, d). Changes ``state`` (n, 2, r, d) in place; ``clock`` (n,) is t."""
+        """Take one step, from inputs (n, i) to (n, d), and change ``state`` (n, 2, r, d) in place; ``clock`` is t."""
         rows, group = th.arange(len(inputs)), clock % self.groups
         hidden, cell = state[rows, 0, group], state[rows, 1, group]
         _, (hidden, cell) = self.core(inputs[None], (hidden[None], cell[None]))
@@ -48,14 +41,14 @@ class DilatedLSTM(nn.Module):
         return state[:, 0].sum(1)
 
     def forward(self, inputs: th.Tensor, state: th.Tensor, clock: th.Tensor) -> th.Tensor:
-        """Whole sequences, (l, n, i) to (l, n, d), in one LSTM call.
+        """Map whole sequences (l, n, i) to (l, n, d) in one LSTM call.
 
         Each group sees every r-th input only, so the groups are r independent LSTMs over sequences of a r-th of the
         length: they are laid beside each other like so many sequences more.
 
         Args:
-            inputs: Inputs of consecutive steps within an episode each.
-            state: Of the groups before the first step, (n, 2, r, d).
+            inputs: Inputs of consecutive steps, each sequence within one episode.
+            state: State of the groups before the first step, (n, 2, r, d).
             clock: t of the first step, (n,).
         """
         length, count, _ = inputs.shape
@@ -79,7 +72,6 @@ class Critic(nn.Module):
     """
 
     def __init__(self, observation_space: spaces.Box, memory_size: int, hidden_units: int) -> None:
-        """Make the layers."""
         super().__init__()
         self.encoder = StateEncoder(observation_space, hidden_units)
         self.head = nn.Sequential(
@@ -89,7 +81,7 @@ class Critic(nn.Module):
         BasePolicy.init_weights(self.head[-1], gain=1.0)
 
     def forward(self, observations: th.Tensor, memory: th.Tensor) -> th.Tensor:
-        """(m, o) and (m, memory_size) to (m,)."""
+        """Estimate values (m,) from observations (m, o) and what the level remembers (m, memory_size)."""
         values: th.Tensor = self.head(th.cat([self.encoder(observations), memory.detach()], dim=-1))
         return values.squeeze(-1)
 
@@ -98,7 +90,6 @@ class Manager(nn.Module):
     """Sets goals: directions in its own space of states."""
 
     def __init__(self, observation_space: spaces.Box, hidden_units: int, goal_size: int, horizon: int) -> None:
-        """Make the layers."""
         super().__init__()
         self.horizon = horizon
         self.space = nn.Sequential(nn.Linear(hidden_units, goal_size), nn.ReLU())
@@ -107,7 +98,7 @@ class Manager(nn.Module):
         self.critic = Critic(observation_space, goal_size, hidden_units)
 
     def value(self, observations: th.Tensor, raw_goals: th.Tensor) -> th.Tensor:
-        """V^M, (m,); the raw goals (m, d) are sums of r outputs in (-1, 1)."""
+        """Return V^M (m,); the raw goals (m, d) are sums of r outputs in (-1, 1)."""
         values: th.Tensor = self.critic(observations, raw_goals / self.horizon)
         return values
 
@@ -124,10 +115,8 @@ class Worker(nn.Module):
         embedding_size: int,
         horizon: int,
     ) -> None:
-        """Make the layers."""
         super().__init__()
-        self._shape = (actions, embedding_size)
-        self._horizon = horizon
+        self._shape, self._horizon = (actions, embedding_size), horizon
         self.core = nn.LSTM(hidden_units, hidden_units)
         self.embeddings = nn.Linear(hidden_units, actions * embedding_size)
         self.phi = nn.Linear(goal_size, embedding_size, bias=False)
@@ -136,12 +125,12 @@ class Worker(nn.Module):
         self.critic = Critic(observation_space, hidden_units + goal_size, hidden_units)
 
     def mean(self, memory: th.Tensor, pooled: th.Tensor) -> th.Tensor:
-        """Eq. 4 and 6: U_t w_t, (m, a), from Worker's LSTM (m, h) and the sum of the last c goals (m, d)."""
+        """Return Eq. 4 and 6's U_t w_t (m, a) from Worker's LSTM (m, h) and the sum of the last c goals (m, d)."""
         embeddings = self.embeddings(memory).view(-1, *self._shape)
         w: th.Tensor = self.phi(pooled.detach())
         return (embeddings @ w[:, :, None]).squeeze(-1)
 
     def value(self, observations: th.Tensor, memory: th.Tensor, pooled: th.Tensor) -> th.Tensor:
-        """V^D, (m,); it knows the goals, on which the intrinsic reward depends."""
+        """Return V^D (m,), which knows the goals, as the intrinsic reward depends on them."""
         values: th.Tensor = self.critic(observations, th.cat([memory, pooled / self._horizon], dim=-1))
         return values

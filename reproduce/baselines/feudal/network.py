@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from reproduce.baselines.feudal.levels import Manager, Worker
 from reproduce.learning.networks import StateEncoder
+from reproduce.learning.spaces import flat_spaces
 
 
 class Memory(NamedTuple):
@@ -41,19 +42,19 @@ class Memory(NamedTuple):
                 part[starts] = 0
 
     def copy(self, rows: Any = slice(None)) -> Memory:
-        """The memory of some environments, apart from this one."""
+        """Return the memory of some environments, in tensors of its own."""
         return Memory(*(part[rows].clone() for part in self))
 
 
 @dataclass(frozen=True)
 class Step:
-    """What one step of n environments gives.
+    """What both levels put out in one step of n environments.
 
     Attributes:
-        actions: As drawn, (n, a).
-        log_probs: Of the actions, (n,).
-        goals: Sent to Worker, random ones among them, (n, d).
-        own_goals: What Manager wanted, (n, d).
+        actions: Worker's, as drawn, (n, a).
+        log_probs: Logarithm of the actions' probability density, (n,).
+        goals: Goals sent to Worker, random ones among them, (n, d).
+        own_goals: Goals that Manager set, (n, d).
         pooled: Sum of the last c goals, (n, d).
         worker_values: V^D, (n,).
         manager_values: V^M, (n,).
@@ -70,7 +71,7 @@ class Step:
 
 @dataclass(frozen=True)
 class FunSpec:
-    """All that is needed to build the network.
+    """Sizes, which are all that is needed to build the network.
 
     Attributes:
         observations: Size of the flat observation.
@@ -91,56 +92,44 @@ class FunSpec:
     horizon: int
 
     def build(self) -> FunNetwork:
-        """Make the network, untrained."""
-        box = spaces.Box(-np.inf, np.inf, (self.observations,), np.float32)
-        act = spaces.Box(-1.0, 1.0, (self.actions,), np.float32)
-        return FunNetwork(box, act, lambda _: 0.0, self.hidden_units, self.goal_size, self.embedding_size, self.horizon)
+        """Make a network of these sizes, not trained."""
+        sizes = asdict(self)
+        return FunNetwork(*flat_spaces(sizes.pop("observations"), sizes.pop("actions")), lambda _: 0.0, **sizes)
 
 
 class FunNetwork(BasePolicy):
     """Percept, Manager and Worker as one SB3 policy."""
 
+    observation_space: spaces.Box
+    action_space: spaces.Box
+
     def __init__(
-        self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Space[Any],
-        lr_schedule: Schedule,
-        hidden_units: int = 128,
-        goal_size: int = 256,
-        embedding_size: int = 16,
-        horizon: int = 10,
-        log_std_init: float = 0.0,
+        self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
-        """Build the network.
+        """Build the network that spaces and sizes describe.
 
         Args:
-            observation_space: Flat observations.
-            action_space: A flat box.
+            seen: Space of flat observations (o,).
+            acts: Space of actions (a,).
             lr_schedule: Learning rate.
-            hidden_units: Units of the percept, of Worker's LSTM and of the critics.
-            goal_size: d.
-            embedding_size: k.
-            horizon: c and r.
             log_std_init: Logarithm of the initial standard deviation.
+            **sizes: The sizes in ``FunSpec`` that the spaces do not tell.
         """
-        for name, space in (("observation_space", observation_space), ("action_space", action_space)):
+        for name, space in (("observation_space", seen), ("action_space", acts)):
             if not isinstance(space, spaces.Box) or len(space.shape) != 1:
                 raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
-        super().__init__(observation_space, action_space)
-        assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
-        actions = action_space.shape[0]
-        self.spec = FunSpec(observation_space.shape[0], actions, hidden_units, goal_size, embedding_size, horizon)
-        self.percept = StateEncoder(observation_space, hidden_units)
+        super().__init__(seen, acts)
+        self.spec = spec = FunSpec(seen.shape[0], acts.shape[0], **sizes)
+        self.percept = StateEncoder(seen, spec.hidden_units)
         self.percept.apply(lambda module: self.init_weights(module, gain=float(np.sqrt(2.0))))
-        self.manager = Manager(observation_space, hidden_units, goal_size, horizon)
-        self.worker = Worker(observation_space, actions, hidden_units, goal_size, embedding_size, horizon)
-        self.log_std = nn.Parameter(th.full((actions,), log_std_init))
-        make_optimizer: Any = self.optimizer_class
-        self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        self.manager = Manager(seen, spec.hidden_units, spec.goal_size, spec.horizon)
+        self.worker = Worker(seen, spec.actions, spec.hidden_units, spec.goal_size, spec.embedding_size, spec.horizon)
+        self.log_std = nn.Parameter(th.full((spec.actions,), log_std_init))
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     # -- one step ------------------------------------------------------------------------------------------------------
     def empty_memory(self, count: int) -> Memory:
-        """The memory of environments that begin."""
+        """Return the memory of ``count`` environments that begin an episode."""
         c, d = self.spec.horizon, self.spec.goal_size
         return Memory(
             th.zeros(count, dtype=th.int64),
@@ -191,11 +180,11 @@ class FunNetwork(BasePolicy):
         return th.where(th.rand(len(goals), 1) < share, random, goals)
 
     def distribution(self, mean: th.Tensor) -> Normal:
-        """Of the actions, each dimension by itself."""
+        """Return the distribution of actions around their mean (n, a), each dimension by itself."""
         return Normal(mean, self.log_std.exp().expand_as(mean))
 
     def states(self, observations: th.Tensor) -> th.Tensor:
-        """Manager's states s, (..., o) to (..., d); they have no memory."""
+        """Map observations (..., o) to Manager's states s (..., d), which have no memory."""
         states: th.Tensor = self.manager.space(self.percept(observations))
         return states
 
@@ -203,11 +192,11 @@ class FunNetwork(BasePolicy):
     def set_goals(
         self, observations: th.Tensor, state: th.Tensor, clock: th.Tensor, mask: th.Tensor
     ) -> tuple[th.Tensor, th.Tensor]:
-        """Manager's goals (m, d) and values (m,) for the m real steps of sequences.
+        """Return Manager's goals (m, d) and values (m,) at the m real steps of sequences.
 
         Args:
             observations: (l, n, o).
-            state: Of the dilated LSTM before each sequence, (n, 2, r, d).
+            state: State of the dilated LSTM before each sequence, (n, 2, r, d).
             clock: Steps since the episode began, where each sequence begins, (n,).
             mask: Which of (l, n) are real.
         """
@@ -217,7 +206,7 @@ class FunNetwork(BasePolicy):
     def act_towards(
         self, observations: th.Tensor, state: tuple[th.Tensor, th.Tensor], mask: th.Tensor, pooled: th.Tensor
     ) -> tuple[Normal, th.Tensor]:
-        """Worker's distribution and values (m,) for the m real steps of sequences.
+        """Return Worker's distribution of actions and values (m,) at the m real steps of sequences.
 
         Args:
             observations: (l, n, o).
@@ -237,10 +226,10 @@ class FunNetwork(BasePolicy):
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
-        """Actions and the memory after them; see SB3. Without ``state`` every call begins an episode."""
+        """Return actions and the memory after them; see SB3. Without ``state`` every call begins an episode."""
         self.set_training_mode(False)
         seen, several = self.obs_to_tensor(observation)
-        assert isinstance(seen, th.Tensor) and isinstance(self.action_space, spaces.Box)
+        assert isinstance(seen, th.Tensor)
         observations = seen.float()
         memory = self.empty_memory(len(observations))
         if state is not None:
@@ -252,6 +241,6 @@ class FunNetwork(BasePolicy):
         return actions if several else actions[0], tuple(part.numpy() for part in memory)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
-        """The first action of an episode, (n, a)."""
+        """Return the first actions (n, a) of episodes."""
         assert isinstance(observation, th.Tensor)
         return self.step(observation.float(), self.empty_memory(len(observation)), deterministic).actions

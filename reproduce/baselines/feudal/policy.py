@@ -19,31 +19,29 @@ class FunPolicy(MirroredPolicy):
     """Manager and Worker, both acting every step, with no random goals."""
 
     def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
-        """Keep the network.
+        """Make a policy that acts in no environment yet.
 
         Args:
-            network: Trained.
-            mirrored: Whether it sees scenes through ``reproduce.learning.mirror``.
+            network: Manager and Worker, trained.
+            mirrored: Whether they see scenes through ``reproduce.learning.mirror``.
             deterministic: Whether Worker acts by its mean.
         """
         super().__init__(mirrored)
         self.network, self._deterministic = network, deterministic
 
     def begin(self, count: int) -> None:
-        """See ``MirroredPolicy``."""
+        """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
         self._memory = self.network.empty_memory(count)
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``MirroredPolicy``."""
+        """Return Worker's actions (n, 11); see ``MirroredPolicy``."""
         self._memory.forget(th.from_numpy(np.asarray(starts, bool)))
-        actions: Actions = self.network.step(
-            th.from_numpy(observations), self._memory, self._deterministic
-        ).actions.numpy()
+        step = self.network.step(th.from_numpy(observations), self._memory, self._deterministic)
+        actions: Actions = step.actions.numpy()
         return actions
 
 
 def load_network(folder: Path, sizes: tuple[int, int]) -> FunNetwork:
-    """The network of a run folder whose observation and action have these sizes; see ``load_networks``."""
-    network = load_networks(folder, {LEVEL: sizes}, FunSpec)[LEVEL]
-    assert isinstance(network, FunNetwork)
+    """Read the network of a run folder whose observations and actions have ``sizes``; see ``load_networks``."""
+    network: FunNetwork = load_networks(folder, {LEVEL: sizes}, FunSpec)[LEVEL]
     return network

@@ -1,4 +1,4 @@
-"""What FuN's rollouts keep: Worker's transitions, and what Manager did at the same steps."""
+"""What FuN learns from: Worker's transitions, and what Manager did at the same steps."""
 
 from __future__ import annotations
 
@@ -10,64 +10,72 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import RolloutBuffer
 
-from reproduce.baselines.feudal.network import FunNetwork, Memory, Step
-from reproduce.learning.sequences import Rollout, sequence_bounds
+from reproduce.baselines.feudal.network import FunSpec, Memory, Step
+from reproduce.learning.sequences import Floats, Rollout, sequence_bounds
 
 
 class FunBuffer(RolloutBuffer):
-    """SB3's buffer for Worker's transitions, and beside it what Manager did at the same steps."""
+    """SB3's buffer for Worker's transitions, and beside it what Manager did at the same steps.
 
-    def __init__(self, *args: Any, network: FunNetwork, sequence_length: int, **kwargs: Any) -> None:
-        """As SB3's, with the sizes of the network.
+    Attributes:
+        last_observations: Step, environments (k,) and observations (k, o) with which episodes ended.
+    """
+
+    last_observations: list[tuple[int, NDArray[np.int64], th.Tensor]]
+
+    def __init__(self, *args: Any, spec: FunSpec, sequence_length: int, **kwargs: Any) -> None:
+        """Make a buffer of zeros for one rollout.
 
         Args:
             *args: See ``RolloutBuffer``.
-            network: Whose steps are kept.
-            sequence_length: Steps between the kept states of the dilated LSTM; one of each step would fill 40 MB.
+            spec: Sizes of the network whose steps are stored.
+            sequence_length: Steps between stored states of the dilated LSTM; one of each step would fill 40 MB.
             **kwargs: See ``RolloutBuffer``.
         """
-        self._sizes = network.spec
-        self.sequence_length = sequence_length
+        self._spec, self.sequence_length = spec, sequence_length
         super().__init__(*args, **kwargs)
 
     def reset(self) -> None:
-        """Begin a rollout."""
+        """Begin a rollout with all arrays zero, time first: (t, n, ...)."""
         super().reset()
-        steps, count, spec = self.buffer_size, self.n_envs, self._sizes
+        steps, count, spec = self.buffer_size, self.n_envs, self._spec
         self.goals, self.own_goals, self.pooled = (th.zeros(steps, count, spec.goal_size) for _ in range(3))
         self.worker_states = th.zeros(steps, count, 2, spec.hidden_units)
         self.clock = th.zeros(steps, count, dtype=th.int64)
         self.manager_values, self.manager_rewards = th.zeros(steps, count), th.zeros(steps, count)
         self.ends = th.zeros(steps, count, dtype=th.bool)
-        kept = -(-steps // self.sequence_length)
-        self.manager_states = th.zeros(kept, count, 2, spec.horizon, spec.goal_size)
-        #: Step, environments and observations with which episodes ended.
-        self.last_observations: list[tuple[int, NDArray[np.int64], th.Tensor]] = []
+        stored = -(-steps // self.sequence_length)
+        self.manager_states = th.zeros(stored, count, 2, spec.horizon, spec.goal_size)
+        self.last_observations = []
 
-    def add_before(self, memory: Memory) -> None:
-        """Keep what the levels remember before the step that ``add`` will end."""
+    def add_memory(self, memory: Memory) -> None:
+        """Store what the levels remember before the step that ``add`` will end."""
         if self.pos % self.sequence_length == 0:
             self.manager_states[self.pos // self.sequence_length] = memory.manager
         self.worker_states[self.pos], self.clock[self.pos] = memory.worker, memory.clock
 
-    def add_levels(self, step: Step, rewards: NDArray[np.float32], dones: NDArray[Any]) -> None:
-        """Keep what Manager did and got at the step that ``add`` will end."""
+    def add_levels(self, step: Step, rewards: Floats, dones: NDArray[Any]) -> None:
+        """Store what Manager did at the step that ``add`` will end, and its rewards (n,)."""
         self.goals[self.pos], self.own_goals[self.pos], self.pooled[self.pos] = step.goals, step.own_goals, step.pooled
         self.manager_values[self.pos] = step.manager_values
         self.manager_rewards[self.pos] = as_tensor(rewards)
         self.ends[self.pos] = th.from_numpy(np.asarray(dones, bool))
 
     def sequences(self) -> tuple[NDArray[np.int64], th.Tensor]:
-        """Bounds of the sequences (s, 2), cut where episodes begin and where Manager's state was kept; these states."""
+        """Cut sequences where episodes begin and where Manager's state was stored.
+
+        Returns:
+            Their bounds (s, 2) in increasing order, and the state of the dilated LSTM before each (s, 2, r, d).
+        """
         steps, every = self.buffer_size, self.sequence_length
         cuts = self.episode_starts.astype(bool) | (np.arange(steps) % every == 0)[:, None]
         bounds = np.array(
             [b for i in range(self.n_envs) for b in sequence_bounds(cuts[:, i], i * steps, every)], np.int64
         )
         env, step = np.divmod(bounds[:, 0], steps)
-        # Where none was kept an episode begins, in an empty state.
-        kept = th.from_numpy(step % every == 0)[:, None, None, None]
-        return bounds, self.manager_states[step // every, env] * kept
+        # Where none was stored an episode begins, in an empty state.
+        stored = th.from_numpy(step % every == 0)[:, None, None, None]
+        return bounds, self.manager_states[step // every, env] * stored
 
 
 @dataclass
@@ -77,13 +85,12 @@ class FunRollout(Rollout):
     Attributes:
         pooled: Sum of the last c goals at each step, (m, d).
         directions: s_{t+c} - s_t, (m, d).
-        known: Where it is, (m,).
-        old_cosines: Between it and the goal that Manager wanted, (m,).
+        known: Whether the rollout goes far enough to know the direction, (m,).
+        old_cosines: Cosine between the direction and the goal that Manager set, (m,).
         manager_advantages: A^M, (m,).
         manager_returns: (m,).
         clock: Steps since the episode began, (m,).
         manager_states: State of the dilated LSTM before each sequence, (s, 2, r, d).
-        sequence_of: Which sequence begins with a step, -1 where none does, (m,).
         intrinsic: r^I, not yet weighted, (m,).
         manager_explained: Explained variance of V^M.
     """
@@ -96,16 +103,19 @@ class FunRollout(Rollout):
     manager_returns: th.Tensor
     clock: th.Tensor
     manager_states: th.Tensor
-    sequence_of: th.Tensor
     intrinsic: th.Tensor
     manager_explained: float
 
+    def states_before(self, first: th.Tensor) -> th.Tensor:
+        """Return the dilated LSTM's states (n, 2, r, d) before the sequences that begin at transitions ``first``."""
+        return self.manager_states[np.searchsorted(self.bounds[:, 0], first.numpy())]
+
 
 def as_tensor(array: Any) -> th.Tensor:
-    """A float32 tensor, whatever the environment's own type is."""
+    """Convert to a float32 tensor, whatever the environment's own type is."""
     return th.from_numpy(np.asarray(array, np.float32))
 
 
 def env_major(tensor: th.Tensor) -> th.Tensor:
-    """(t, n, ...) to (n * t, ...), each environment's steps together."""
+    """Lay (t, n, ...) out as (n * t, ...), each environment's steps together."""
     return tensor.transpose(0, 1).flatten(0, 1).contiguous()

@@ -1,6 +1,6 @@
-"""What Manager and Worker learn from, as pure functions of a rollout: intrinsic reward, directions, advantages.
+"""What Manager and Worker learn from beside rewards, as pure functions of a rollout: intrinsic reward and directions.
 
-Time comes first, then environments: (t, n, ...). No cosine, and nothing discounted, crosses the end of an episode.
+Time comes first, then environments: (t, n, ...). No cosine crosses the end of an episode.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch.nn import functional
 def intrinsic_rewards(
     states: th.Tensor, following: th.Tensor, goals: th.Tensor, clock: th.Tensor, horizon: int
 ) -> th.Tensor:
-    """Eq. 8: r^I = 1/c sum_{i=1..c} cos(s_t - s_{t-i}, g_{t-i}), given to the step that led to s_t.
+    """Return Eq. 8: r^I = 1/c sum_{i=1..c} cos(s_t - s_{t-i}, g_{t-i}), of the steps that led to s_t.
 
     Terms that would reach back before the episode are left out of the sum, which is divided by c all the same.
 
@@ -37,7 +37,7 @@ def intrinsic_rewards(
 
 
 def directions(states: th.Tensor, following: th.Tensor, ends: th.Tensor, horizon: int) -> tuple[th.Tensor, th.Tensor]:
-    """Eq. 7's s_{t+c} - s_t, as data: no gradient flows through it, which would let Manager move s itself.
+    """Return Eq. 7's s_{t+c} - s_t, as data: no gradient flows through it, which would let Manager move s itself.
 
     An episode that ends within c steps gives the way to its last state. Where the rollout ends within c steps the rest
     of the way is not known yet, and Manager does not learn from the step.
@@ -58,26 +58,3 @@ def directions(states: th.Tensor, following: th.Tensor, ends: th.Tensor, horizon
     known = until < steps
     reached = following[until.clamp(max=steps - 1), th.arange(count)]
     return (reached - states).detach(), known
-
-
-def advantages_and_returns(
-    rewards: th.Tensor, values: th.Tensor, last_values: th.Tensor, ends: th.Tensor, gamma: float, lam: float
-) -> tuple[th.Tensor, th.Tensor]:
-    """Generalised advantage estimation for all environments at once.
-
-    Args:
-        rewards: r_t, (t, n).
-        values: V of the state before each step, (t, n).
-        last_values: V of the state after the last step, (n,).
-        ends: Whether the episode ended with the step, (t, n).
-        gamma: Discount.
-        lam: GAE's lambda.
-    """
-    going_on = 1.0 - ends.float()
-    deltas = rewards + gamma * going_on * th.cat([values[1:], last_values[None]]) - values
-    advantages = th.zeros_like(deltas)
-    running = th.zeros_like(last_values)
-    for t in reversed(range(len(deltas))):
-        running = deltas[t] + gamma * lam * going_on[t] * running
-        advantages[t] = running
-    return advantages, advantages + values

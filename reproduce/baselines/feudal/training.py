@@ -11,13 +11,13 @@ from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.network import FunNetwork, FunSpec
 from reproduce.baselines.feudal.policy import LEVEL
-from reproduce.baselines.recurrent_ppo import EpisodeLog
 from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.training import RecurrentTraining, make_environments, own_arguments, stock_arguments
 
 
 def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int) -> FunPPO:
-    """FuN's learner as SB3 knows it; ``config`` says what it shares with the other learners."""
+    """Make FuN's learner for SB3's environments; ``config`` says what it shares with the other learners."""
     learner = FunPPO(
         FunNetwork,
         env,
@@ -32,17 +32,16 @@ def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int)
 
 
 class FunTraining(RecurrentTraining):
-    """Trains Manager and Worker; ``update`` is one rollout and one training of both."""
+    """Trains Manager and Worker; an ``update`` is one rollout and one training of both on it."""
 
     def __init__(self, config: TrainingConfig, seed: int) -> None:
-        """Start environments and learner."""
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
         self.learner = make_fun_learner(env, config.low, config.fun, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
 
     def update(self, done: int) -> dict[str, Any]:
-        """Collect and learn; ``done`` steps were taken before."""
+        """Collect a rollout and learn from it; ``done`` steps were taken before."""
         self.collect(done)
         self.learner.train()
         row = self.row()
@@ -51,5 +50,5 @@ class FunTraining(RecurrentTraining):
         return row
 
     def networks(self) -> dict[str, tuple[FunSpec, FunNetwork]]:
-        """Manager and Worker are one network; see ``Training``."""
-        return {LEVEL: (self.learner.network.spec, self.learner.network)}
+        """Return Manager and Worker, one network, with its sizes; see ``Training``."""
+        return {LEVEL: (self.learner.policy.spec, self.learner.policy)}

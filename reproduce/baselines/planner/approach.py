@@ -8,22 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
+from pydantic.dataclasses import dataclass as strict_dataclass
 
 from lunar_rescue import LunarRescueEnv
+from lunar_rescue.physics.kinematics import TIP, ArmChain, solve_arms
 from lunar_rescue.physics.robot import ARMS, WAIST, Arm
-from reproduce.baselines.planner.batch_ik import plate_tips, solve_arms
 from reproduce.baselines.planner.collision import BODY_TOUCH, CollisionChecker
 from reproduce.baselines.planner.rrt import connect, length, line_is_free, path_is_free, shortcut
+from reproduce.baselines.way_points import DATA, STRICT, Degrees, Metres, read_data
 
 Array = NDArray[np.float64]
 
 REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
+HOVER, HOVER_SLOPE, HOVER_LEAN = 0.40, 20.0, 8.0  # m above the slide's begin; slope, and waist further back, deg
+TIPS_FIRST = 6.0  # deg, tips point down by so much more where the slide begins
 SLIDE_STEPS = 5  # places along the slide, the goal included
 BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
 OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
@@ -38,8 +45,8 @@ class Effort:
     Attributes:
         touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
             to the ground gives way to a plate, which only trying out can tell.
-        draws: Of RRT-Connect for one way; without any only straight lines are tried.
-        slides: For which a way is sought, of one stance.
+        draws: Draws of RRT-Connect for one way; without any only straight lines are tried.
+        slides: Slides of one stance for which a way is sought.
     """
 
     touches: tuple[float, ...]
@@ -47,7 +54,7 @@ class Effort:
     slides: int
 
 
-@dataclass(frozen=True)
+@strict_dataclass(frozen=True, config=STRICT)
 class Stance:
     """How the waist leans while the plates slide in.
 
@@ -56,11 +63,11 @@ class Stance:
         lean: How much further it leans per metre slid in [deg/m].
     """
 
-    under: float
-    lean: float
+    under: Degrees
+    lean: Annotated[float, Interval(ge=-200.0, le=200.0)]
 
 
-@dataclass(frozen=True)
+@strict_dataclass(frozen=True, config=STRICT)
 class Goal:
     """Where one plate goes, beside its target.
 
@@ -72,11 +79,26 @@ class Goal:
         turn: Direction of the slide, outwards from straight ahead [deg].
     """
 
-    ahead: float = 0.0
-    aside: float = 0.0
-    up: float = 0.0
-    slope: float = -3.0
-    turn: float = 0.0
+    ahead: Metres = 0.0
+    aside: Metres = 0.0
+    up: Metres = 0.0
+    slope: Degrees = -3.0
+    turn: Degrees = 0.0
+
+
+@strict_dataclass(frozen=True, config=STRICT)
+class Choices:
+    """Stances of the waist and goals of each arm, from the likeliest on, and a word about them."""
+
+    how: str
+    stances: list[Stance]
+    goals: list[Goal]
+
+
+@lru_cache
+def load_choices() -> Choices:
+    """Read stances and goals from the planner's data."""
+    return read_data(DATA / "approach.json", "file of stances and goals", Choices)
 
 
 #: One after the other: most scenes have a way in straight lines, a few need much.
@@ -85,56 +107,17 @@ EFFORTS = (
     Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 600, 4),
     Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 4000, 12),
 )
-STANCES = (
-    Stance(40, 64),
-    Stance(28, 64),
-    Stance(50, 70),
-    Stance(16, 50),
-    Stance(34, 30),
-    Stance(4, 40),
-    Stance(58, 76),
-)
-#: From the likeliest on; none misses the target by more than its radius.
-GOALS = (
-    Goal(),
-    Goal(slope=-10, up=0.01),
-    Goal(slope=4),
-    Goal(ahead=-0.05),
-    Goal(aside=0.04),
-    Goal(aside=-0.04),
-    Goal(up=0.02, slope=-6),
-    Goal(turn=12),
-    Goal(turn=-12),
-    Goal(ahead=-0.05, slope=8, up=0.01),
-    Goal(ahead=-0.06, up=0.03, slope=-18),
-    Goal(ahead=-0.06, up=0.04, slope=-26),
-    Goal(aside=0.05, turn=15),
-    Goal(aside=-0.05, turn=-15),
-    Goal(ahead=-0.07, up=-0.01),
-    Goal(aside=0.06, ahead=-0.04),
-    Goal(aside=-0.06, ahead=-0.04),
-    Goal(aside=0.04, turn=25),
-    Goal(aside=-0.04, turn=-25),
-    Goal(ahead=-0.04, aside=0.05, up=0.03, slope=-20),
-    Goal(ahead=-0.04, aside=-0.05, up=0.03, slope=-20),
-)
 
 
-@dataclass(frozen=True)
-class Way:
-    """A joint path that brings both plates under the body.
-
-    Attributes:
-        path: Angles from the start to the goal (m, 11) [rad].
-        found: ``"straight"`` (way-points in straight lines) or ``"rrt"``.
-    """
+class Way(NamedTuple):
+    """A joint path (m, 11) [rad] that brings both plates under the body, ``"straight"`` or found by ``"rrt"``."""
 
     path: Array
-    found: str
+    kind: str
 
 
 class ApproachPlanner:
-    """Yields ways for one scene, the likeliest first."""
+    """Find ways under the body for one scene, the likeliest first."""
 
     def __init__(self, checker: CollisionChecker, env: LunarRescueEnv, rng: np.random.Generator) -> None:
         """Plan for the episode that has just begun in ``env``, whose scene the checker has too."""
@@ -145,14 +128,17 @@ class ApproachPlanner:
         self._upper = np.minimum(env.robot.upper, window[1]) - 1e-4
         to_base = env.episode.observer.to_base
         self.targets = to_base(env.episode.targets())
-        ways_in = to_base(env.episode.entries()) - self.targets
-        self._lengths = np.linalg.norm(ways_in, axis=1)
+        longest = float(np.linalg.norm(to_base(env.episode.entries()) - self.targets, axis=1).max())
+        #: How far before its goal a plate is at each place of a slide [m].
+        self._backs = np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
+        choices = load_choices()
+        self._stances, self._goals = choices.stances, choices.goals
         self._solved: dict[Stance, list[tuple[Array, Array]]] = {}
 
     def ways(self) -> Iterator[Way]:
-        """Ways that are free of collision."""
+        """Yield ways that are free of collision, until the checks of a scene are used up."""
         end_of_checks = self._checker.checks + CHECKS
-        tasks = ((effort, touch, stance) for effort in EFFORTS for touch in effort.touches for stance in STANCES)
+        tasks = ((effort, touch, stance) for effort in EFFORTS for touch in effort.touches for stance in self._stances)
         for effort, touch, stance in tasks:
             for slide in islice(self._slides(stance, touch), effort.slides):
                 if self._checker.checks > end_of_checks:
@@ -164,17 +150,12 @@ class ApproachPlanner:
 
     # -- slides ------------------------------------------------------------------------------------------------------
     def _waists(self, stance: Stance) -> Array:
-        """Waist angle from the hover on, at each place of the slide (SLIDE_STEPS + 1,) [rad]."""
-        back = self._backs(float(self._lengths.max()))
-        degrees = np.concatenate([[stance.under - stance.lean * back[0] - 8], stance.under - stance.lean * back])
-        return np.clip(np.radians(degrees), self._lower[WAIST], self._upper[WAIST])
-
-    def _backs(self, longest: float) -> Array:
-        """How far before its goal a plate is at each place of the slide (SLIDE_STEPS,) [m]."""
-        return np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
+        """Return the waist angle above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad]."""
+        slide = stance.under - stance.lean * self._backs
+        return np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
 
     def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
-        """Ways of both arms to goals, free ones only: whole, with a hover above the entry first, or their last part."""
+        """Yield free slides of both arms to goals: whole, with a hover above the entry first, or their last part."""
         free, waists = self._checker.free, self._waists(stance)
         if stance not in self._solved:
             self._solved[stance] = [
@@ -194,27 +175,26 @@ class ApproachPlanner:
                 yield path if begin == 1 else path[begin:]
 
     def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
-        """Ways to all goals (n, SLIDE_STEPS + 1, 5) [rad] and how far they miss them (n,) [m]."""
-        turns = np.radians([goal.turn for goal in GOALS])
-        ahead = np.column_stack([np.cos(turns), arm.side * np.sin(turns), np.zeros(len(turns))])
-        ends = target + np.array([[goal.ahead, arm.side * goal.aside, goal.up] for goal in GOALS])
-        slopes = np.array([goal.slope for goal in GOALS])
-        backs = self._backs(float(self._lengths.max()))
-        places = [ends - backs[0] * ahead + [0.0, 0.0, 0.40], *(ends - back * ahead for back in backs)]
-        tilts = [np.full(len(GOALS), 20.0), *(slopes - 6.0 * back / backs[0] for back in backs)]
-        angles = np.tile(self._start[arm.joints], (len(GOALS), 1))
+        """Solve the slides to all goals, (n, SLIDE_STEPS + 1, 5) [rad], and how far they miss them, (n,) [m]."""
+        goals, backs, count = self._goals, self._backs, len(self._goals)
+        turns = np.radians([goal.turn for goal in goals])
+        ahead = np.column_stack([np.cos(turns), arm.side * np.sin(turns), np.zeros(count)])
+        ends = target + np.array([[goal.ahead, arm.side * goal.aside, goal.up] for goal in goals])
+        slopes = np.array([goal.slope for goal in goals])
+        places = [ends - backs[0] * ahead + [0.0, 0.0, HOVER], *(ends - back * ahead for back in backs)]
+        tilts = [np.full(count, HOVER_SLOPE), *(slopes - TIPS_FIRST * back / backs[0] for back in backs)]
+        angles = np.tile(self._start[arm.joints], (count, 1))
         rows = []
         for place, tilt, waist in zip(places, tilts, waists, strict=True):
-            angles, misses = self._solve_low(arm, place, np.radians(tilt), np.full(len(GOALS), waist), angles)
+            angles, misses = self._solve_low(arm, place, np.radians(tilt), np.full(count, waist), angles)
             rows.append(angles)
         return np.stack(rows, axis=1), misses
 
     def _solve_low(self, arm: Arm, places: Array, slopes: Array, waists: Array, starts: Array) -> tuple[Array, Array]:
-        """Solve, then again with the ends so much higher that no tip is in the ground."""
+        """Solve as ``solve_arms`` does, then again with the ends so much higher that no tip is in the ground."""
         bounds = self._lower[arm.joints], self._upper[arm.joints]
         angles, misses = solve_arms(places, slopes, waists, arm.side, starts, *bounds)
-        tips = plate_tips(waists, angles, arm.side)
-        missing = np.maximum(0.0, TIP_HEIGHT - tips[:, 2])
+        missing = np.maximum(0.0, TIP_HEIGHT - ArmChain(waists, angles).points[:, TIP, 2])
         if missing.any():
             higher = places + missing[:, None] * [0.0, 0.0, 1.0]
             angles, misses = solve_arms(higher, slopes, waists, arm.side, angles, *bounds)
@@ -222,7 +202,7 @@ class ApproachPlanner:
 
     # -- the way to where the slide begins ---------------------------------------------------------------------------
     def _reach(self, slide: Array, draws: int) -> Way | None:
-        """Complete a slide by a way from the start to its beginning."""
+        """Complete a slide by a way from the start to its beginning, or return None where none was found."""
         free = self._checker.free
         rest = slide
         if len(slide) == SLIDE_STEPS + 1:
@@ -231,7 +211,7 @@ class ApproachPlanner:
                 return Way(np.concatenate([self._start[None], slide]), "straight")
         if not draws:
             return None
-        way = connect(self._start, rest[0], free, self._lower, self._upper, self._rng, iterations=draws)
+        way = connect(self._start, rest[0], free, (self._lower, self._upper), self._rng, draws=draws)
         if way is None:
             return None
         return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")

@@ -1,4 +1,4 @@
-"""Whether the robot can stand in a configuration without touching anything, in a client that never steps."""
+"""Check whether the robot can stand in a configuration without touching anything, in a world that never steps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GROUND_TOUCH = 0.010  # m, plates skim over loose regolith
 
 
 class CollisionChecker:
-    """Robot, astronaut, ground and rocks of one scene, placed as at the start of an episode.
+    """Hold robot, astronaut, ground and rocks of one scene, placed as at the start of an episode.
 
     Attributes:
         body_touch: How deep robot and resting astronaut may overlap [m].
@@ -34,12 +34,12 @@ class CollisionChecker:
         self.checks = 0
 
     def set_scene(self, scene: Scene, margin: float = ROCK_MARGIN) -> None:
-        """Place everything; rocks are ``margin`` [m] larger than they are."""
+        """Place everything of a scene, with rocks ``margin`` [m] larger than they are."""
         self._env.reset_flat(options={"scene": scene})
         episode, simulation = self._env.episode, self._env.simulation
         self._astronaut = episode.astronaut.handle
-        larger = [simulation.add_hull(_grow(vertices, margin)) for vertices in _hulls(self._env)] if margin else []
-        self._rocks = [*episode.rocks, *larger]
+        hulls = [_grow(rock.vertices(), margin) for rock in scene.rocks] if margin else []
+        self._rocks = [*episode.rocks, *map(simulation.add_hull, hulls)]
         # An environment may load a new robot at a reset.
         by_name = {row[1]: row[0] for row in simulation.joint_table(self._env.robot.handle)}
         names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
@@ -48,7 +48,7 @@ class CollisionChecker:
         self._grounds = [simulation.ground] + ([] if relief is None else [relief])
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the simulation."""
         self._env.close()
 
     def free(self, angles: Array) -> bool:
@@ -64,12 +64,8 @@ class CollisionChecker:
         return all(simulation.penetration(robot, ground) <= GROUND_TOUCH for ground in self._grounds)
 
 
-def _hulls(env: LunarRescueEnv) -> list[Array]:
-    """Corners of the scene's rocks in the world, (M, 3) [m] each."""
-    return [rock.vertices() for rock in env.episode.scene.rocks]
-
-
 def _grow(vertices: Array, margin: float) -> Array:
+    """Move the corners (M, 3) of a rock outwards by a margin [m]."""
     outward = vertices - vertices.mean(axis=0)
     grown: Array = vertices + margin * outward / np.linalg.norm(outward, axis=1, keepdims=True)
     return grown

@@ -1,4 +1,4 @@
-"""A whole rescue, planned with full knowledge and tried out in a copy of the environment before it is done."""
+"""Plan a whole rescue with full knowledge, trying it out in a copy of the environment before it is done."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
+from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.planner.variants import Variant, kind, load_variants, vary
+from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
+from reproduce.baselines.way_points import Variant, kind, load_way_points, vary
 from reproduce.storage.errors import UserError
 
 APPROACHES = 8  # ways tried out, at most
@@ -52,10 +54,10 @@ class Plan:
 
 
 class RescuePlanner:
-    """Plans scenes one after the other; the same scene gets the same plan."""
+    """Plan scenes one after the other; the same scene gets the same plan."""
 
     def __init__(self, variants: int = VARIANTS, approaches: int = APPROACHES) -> None:
-        """Set the caps on what is tried out; the two simulations are made with the first scene.
+        """Set the caps on what is tried out; the two simulations are started with the first scene.
 
         Raises:
             UserError: On a cap below 1.
@@ -64,15 +66,13 @@ class RescuePlanner:
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")
         self._variants, self._approaches = variants, approaches
-        self._env: LunarRescueEnv | None = None
-        self._checker: CollisionChecker | None = None
+        self._simulations: tuple[LunarRescueEnv, CollisionChecker] | None = None
 
     def close(self) -> None:
         """Disconnect from the simulations."""
-        if self._env is not None and self._checker is not None:
-            self._env.close()
-            self._checker.close()
-        self._env = self._checker = None
+        for simulation in self._simulations or ():
+            simulation.close()
+        self._simulations = None
 
     def plan(self, scene: Scene) -> Plan:
         """Plan a scene.
@@ -84,75 +84,78 @@ class RescuePlanner:
             The first plan that succeeded, or the one that came furthest.
         """
         begun = time.monotonic()
-        if self._env is None or self._checker is None:
-            self._env, self._checker = LunarRescueEnv(), CollisionChecker()
-        self._env.reset_flat(options={"scene": scene})
-        self._checker.set_scene(scene)
-        # A negative seed marks a scene that was made by hand.
-        approach = ApproachPlanner(self._checker, self._env, np.random.default_rng(abs(scene.seed)))
-        rollout = Rollout(self._env, scene)
-        search = _Search(approach, rollout, self._approaches)
-        first = search.next_under()
-        best, way, tried, right = search.furthest(), "none", 0, -1
-        if first is not None:
-            under = [first]
-            (best, way) = first
-            for index, variant in enumerate(islice(_variants(scene), self._variants)):
-                if index and index % OTHER_WAY_AFTER == 0:
-                    under += filter(None, [search.next_under()])
-                # The first way first; when the likeliest variants have failed on it, each way in turn.
-                begin, found = under[(index // OTHER_WAY_AFTER) % len(under)]
-                trial = rollout.rescue(begin, variant, approach.targets)
-                tried += 1
-                if trial.rescued:
-                    best, way, right = trial, found, index
-                    break
+        if self._simulations is None:
+            self._simulations = LunarRescueEnv(), CollisionChecker()
+        search = _Search(*self._simulations, scene, self._approaches)
+        best, way, variant = search.rescue(self._variants)
         return Plan(
             actions=best.actions,
             under=best.under is not None,
             rescued=best.rescued,
             first_under=search.first_under,
-            first_rescued=search.first_under and right == 0,
+            first_rescued=search.first_under and variant == 0,
             way=way,
-            ways_tried=search.tried,
-            variants_tried=tried,
-            variant=right,
+            ways_tried=search.ways_tried,
+            variants_tried=search.variants_tried,
+            variant=variant,
             seconds=time.monotonic() - begun,
         )
 
 
 class _Search:
-    """Ways for one scene, tried out one after the other."""
+    """Ways and variants for one scene, tried out one after the other."""
 
-    def __init__(self, approach: ApproachPlanner, rollout: Rollout, most: int) -> None:
-        self._ways, self._rollout = islice(approach.ways(), most), rollout
+    def __init__(self, env: LunarRescueEnv, checker: CollisionChecker, scene: Scene, most: int) -> None:
+        env.reset_flat(options={"scene": scene})
+        checker.set_scene(scene)
+        # A negative seed marks a scene that was made by hand.
+        approach = ApproachPlanner(checker, env, np.random.default_rng(abs(scene.seed)))
+        self._scene, self._targets = scene, approach.targets
+        self._ways, self._rollout = islice(approach.ways(), most), Rollout(env, scene)
         self._failed: list[Trial] = []
-        self.tried = 0
+        self.ways_tried = self.variants_tried = 0
         self.first_under = False
 
-    def next_under(self) -> tuple[Trial, str] | None:
-        """The next way that gets both arms under and how it was found, or None when there are no more."""
+    def rescue(self, most: int) -> tuple[Trial, str, int]:
+        """Try out at most so many variants on the ways under the body.
+
+        Returns:
+            The trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
+        """
+        under = [*filter(None, [self._next_under()])]
+        if not under:
+            # A way that failed, or to stand still.
+            still = Trial(np.zeros((1, JOINTS), dtype=np.float32), None, False)
+            return (self._failed or [still])[0], "none", -1
+        for index, variant in enumerate(islice(_variants(self._scene), most)):
+            if index and index % OTHER_WAY_AFTER == 0:
+                under += filter(None, [self._next_under()])
+            # The first way first; when the likeliest variants have failed on it, each way in turn.
+            begin, way = under[(index // OTHER_WAY_AFTER) % len(under)]
+            trial = self._rollout.rescue(begin, variant, self._targets)
+            self.variants_tried += 1
+            if trial.rescued:
+                return trial, way, index
+        return *under[0], -1
+
+    def _next_under(self) -> tuple[Trial, str] | None:
+        """Return the next way that gets both arms under and how it was found, or None when there are no more."""
         for way in self._ways:
             trial = self._rollout.approach(way.path)
-            self.tried += 1
+            self.ways_tried += 1
             if trial.under is not None:
-                self.first_under |= self.tried == 1
-                return trial, way.found
+                self.first_under |= self.ways_tried == 1
+                return trial, way.kind
             self._failed.append(trial)
         return None
 
-    def furthest(self) -> Trial:
-        """Something to do where nothing succeeds: a way that failed, or to stand still."""
-        still = Trial(np.zeros((1, 11), dtype=np.float32), None, False, None)
-        return self._failed[0] if self._failed else still
-
 
 def _variants(scene: Scene) -> Iterator[Variant]:
-    """Variants of the file, then others near them, drawn for the scene."""
+    """Yield the variants of the file, then others near them, drawn for the scene."""
     name = kind(scene)
-    listed = load_variants().get(name, ())
+    listed = load_way_points(VARIANTS_FILE).get(name, ())
     if not listed:
-        raise UserError(f"planner: no variants for {name}")
+        raise UserError(f"{VARIANTS_FILE}: file of way-points: expected variants for {name!r}, got none")
     yield from listed
     rng = np.random.default_rng([abs(scene.seed), 2])
     for variant in cycle(listed):

@@ -1,17 +1,15 @@
-"""Trying a plan out in an environment: follow a joint path until both arms are under, then way-points."""
+"""Try a plan out in an environment: follow a joint path until both arms are under, then way-points."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
-from lunar_rescue.physics.robot import ARMS, JOINTS, WAIST
-from reproduce.baselines.planner.batch_ik import solve_arms
 from reproduce.baselines.planner.rrt import resample
-from reproduce.baselines.planner.variants import Variant
+from reproduce.baselines.way_points import ARRIVED, Variant
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
@@ -20,47 +18,36 @@ SPACING = 0.02  # rad, between two points of the path that is followed
 AHEAD = 8  # points; 0.16 rad ahead is as far as the set-point may run before the joints
 WINDOW = 12  # points among which the nearest one is looked for
 SETTLE = 10  # steps at the end of the path, before giving up
-ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
 
 
-@dataclass(frozen=True)
-class Trial:
-    """How a plan went.
-
-    Attributes:
-        actions: What was done (steps, 11).
-        under: Step at which both arms were under, or None.
-        rescued: Whether the rescue succeeded.
-        failure: The environment's word for what went wrong, or None.
-    """
+class Trial(NamedTuple):
+    """How a plan went: actions (steps, 11), step at which both arms were under, or None, and whether it succeeded."""
 
     actions: Actions
     under: int | None
     rescued: bool
-    failure: str | None
 
 
 class Rollout:
-    """Runs plans for one scene in an environment of its own, every one from the episode's beginning."""
+    """Run plans for one scene in an environment, every one from the episode's beginning."""
 
     def __init__(self, env: LunarRescueEnv, scene: Scene) -> None:
         """Use ``env`` until the next scene."""
         self._env, self._scene = env, scene
-        self.steps = 0
 
     def approach(self, path: Array) -> Trial:
         """Follow a path (m, 11) [rad] until both arms are under."""
         self._begin()
         self._follow(path)
-        return self._trial()
+        return Trial(np.array(self._actions), self._under, self._rescued)
 
     def rescue(self, approach: Trial, variant: Variant, targets: Array) -> Trial:
         """Repeat an approach, then go through a variant's way-points.
 
         Args:
-            approach: That got both arms under.
-            variant: Way-points.
-            targets: As first seen, base frame (2, 3) [m].
+            approach: Trial that got both arms under.
+            variant: Way-points of the lift or turn.
+            targets: The two targets as first seen, base frame (2, 3) [m].
         """
         self._begin()
         for action in approach.actions:
@@ -68,26 +55,26 @@ class Rollout:
                 break
             self._step(action)
         self._pass_through(variant, targets)
-        return self._trial()
+        return Trial(np.array(self._actions), self._under, self._rescued)
 
     # -- parts -------------------------------------------------------------------------------------------------------
     def _begin(self) -> None:
         self._env.reset_flat(options={"scene": self._scene})
         self._actions: list[Actions] = []
         self._under: int | None = None
-        self._rescued, self._failure, self._done = False, None, False
+        self._rescued = self._done = False
 
     def _step(self, action: NDArray[np.floating]) -> None:
         # What is tried is what will be done: a policy's actions are single precision.
         single = np.asarray(action, dtype=np.float32)
         _, _, terminated, truncated, info = self._env.step_flat(single)
-        self.steps += 1
         self._actions.append(single)
         if info["both_arms_under"] and self._under is None:
             self._under = len(self._actions)
         self._done = terminated or truncated
-        self._rescued, self._failure = bool(info["is_success"]), info["failure"]
+        self._rescued = bool(info["is_success"])
 
+    @property
     def _angles(self) -> Array:
         return self._env.episode.robot.angles
 
@@ -97,38 +84,21 @@ class Rollout:
         at, waited = 0, 0
         while not self._done and self._under is None and waited < SETTLE:
             near = points[at : at + WINDOW]
-            at += int(np.abs(near - self._angles()).max(axis=1).argmin())
+            at += int(np.abs(near - self._angles).max(axis=1).argmin())
             aim = min(at + AHEAD, len(points) - 1)
             waited += aim == len(points) - 1
             self._step(self._env.robot.action_for(points[aim]))
 
     def _pass_through(self, variant: Variant, targets: Array) -> None:
-        joints = self._angles().copy()
+        joints = self._angles.copy()
         for index, point in enumerate(variant):
-            joints = self._solve(targets + [point.ahead, point.aside, point.up], point.slope, point.waist, joints)
+            joints = point.joints(targets, joints)
             action = self._env.robot.action_for(joints)
             wanted = self._env.robot.joint_targets(action)
             left = point.patience
             while not self._done and (left > 0 or index == len(variant) - 1):
-                if left < point.patience and index < len(variant) - 1:
-                    if np.all(np.abs(self._angles() - wanted) < ARRIVED):
-                        break
+                begun = left < point.patience and index < len(variant) - 1
+                if begun and np.all(np.abs(self._angles - wanted) < ARRIVED):
+                    break
                 self._step(action)
                 left -= 1
-
-    def _solve(self, places: Array, slope: float, waist: float, before: Array) -> Array:
-        robot = self._env.robot
-        lower = np.maximum(robot.lower, robot.initial - robot.window)
-        upper = np.minimum(robot.upper, robot.initial + robot.window)
-        joints = np.empty(JOINTS)
-        joints[WAIST] = np.clip(np.radians(waist), lower[WAIST], upper[WAIST])
-        for arm, place in zip(ARMS, places, strict=True):
-            j = arm.joints
-            solved, _ = solve_arms(
-                place[None], np.radians([slope]), joints[[WAIST]], arm.side, before[None, j], lower[j], upper[j]
-            )
-            joints[j] = solved[0]
-        return joints
-
-    def _trial(self) -> Trial:
-        return Trial(np.array(self._actions), self._under, self._rescued, self._failure)

@@ -25,17 +25,17 @@ def line_is_free(start: Array, end: Array, free: Free, resolution: float = RESOL
 
 
 def path_is_free(path: Array, free: Free, resolution: float = RESOLUTION) -> bool:
-    """Whether a path (m, n) is free, its first configuration left out."""
+    """Whether a path (m, n) of straight lines is free, its first configuration left out."""
     return all(line_is_free(a, b, free, resolution) for a, b in pairwise(path))
 
 
 def length(path: Array) -> float:
-    """Length of a path (m, n) in the largest-joint distance [rad]."""
+    """Measure a path (m, n) in the largest-joint distance [rad]."""
     return float(np.abs(np.diff(path, axis=0)).max(axis=1).sum())
 
 
 def resample(path: Array, spacing: float) -> Array:
-    """Points (k, n) along a path, no further apart than ``spacing`` [rad], corners kept."""
+    """Return points (k, n) along a path, no further apart than ``spacing`` [rad], with its corners."""
     points = [path[:1]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / spacing)))
@@ -44,7 +44,7 @@ def resample(path: Array, spacing: float) -> Array:
 
 
 class _Tree:
-    """Configurations and their parents, from one end."""
+    """A tree of configurations and their parents, grown from one end."""
 
     def __init__(self, root: Array) -> None:
         self._points = np.empty((64, len(root)))
@@ -66,7 +66,7 @@ class _Tree:
         return index
 
     def branch(self, index: int) -> list[Array]:
-        """From the root to a configuration."""
+        """Return the configurations from the root to this one."""
         points = []
         while index >= 0:
             points.append(self.point(index))
@@ -74,13 +74,13 @@ class _Tree:
         return points[::-1]
 
 
-def _extend(tree: _Tree, towards: Array, free: Free, step: float, resolution: float) -> tuple[int, bool]:
+def _extend(tree: _Tree, towards: Array, free: Free, resolution: float) -> tuple[int, bool]:
     """Grow by one branch as far as it is free; return its end (-1 when blocked) and whether that is ``towards``."""
     near = tree.nearest(towards)
     start = tree.point(near)
     way = towards - start
     distance = float(np.abs(way).max())
-    part = min(1.0, step / max(distance, 1e-12))
+    part = min(1.0, STEP / max(distance, 1e-12))
     count = max(1, int(np.ceil(distance * part / resolution)))
     reached = 0
     while reached < count and free(start + way * (part * (reached + 1) / count)):
@@ -91,11 +91,11 @@ def _extend(tree: _Tree, towards: Array, free: Free, step: float, resolution: fl
     return tree.add(towards if met else start + way * (part * reached / count), near), met
 
 
-def _greedily(tree: _Tree, target: Array, free: Free, step: float, resolution: float) -> tuple[int, bool]:
+def _greedily(tree: _Tree, target: Array, free: Free, resolution: float) -> tuple[int, bool]:
     """Grow towards a target until it is met or nothing is gained."""
     grown, met, gap = 0, False, np.inf
     while not met:
-        grown, met = _extend(tree, target, free, step, resolution)
+        grown, met = _extend(tree, target, free, resolution)
         left = float(np.abs(tree.point(grown) - target).max()) if grown >= 0 else np.inf
         if left >= gap - 1e-9 and not met:
             return -1, False
@@ -107,12 +107,10 @@ def connect(
     start: Array,
     goal: Array,
     free: Free,
-    lower: Array,
-    upper: Array,
+    bounds: tuple[Array, Array],
     rng: np.random.Generator,
     *,
-    iterations: int = 500,
-    step: float = STEP,
+    draws: int = 500,
     resolution: float = RESOLUTION,
 ) -> Array | None:
     """Find a way by RRT-Connect (Kuffner and LaValle 2000): two trees that grow towards each other.
@@ -121,11 +119,9 @@ def connect(
         start: First configuration (n,).
         goal: Last configuration (n,).
         free: Whether a configuration is free of collision.
-        lower: Smallest configuration (n,).
-        upper: Largest configuration (n,).
+        bounds: Smallest and largest configuration (n,).
         rng: Where all draws come from.
-        iterations: Most draws.
-        step: Longest branch.
+        draws: Most draws.
         resolution: Distance between two checks.
 
     Returns:
@@ -137,10 +133,10 @@ def connect(
         return np.array([start, goal])
     first, second = _Tree(start), _Tree(goal)
     forward = True
-    for _ in range(iterations):
-        new, _ = _extend(first, rng.uniform(lower, upper), free, step, resolution)
+    for _ in range(draws):
+        new, _ = _extend(first, rng.uniform(*bounds), free, resolution)
         if new >= 0:
-            grown, met = _greedily(second, first.point(new), free, step, resolution)
+            grown, met = _greedily(second, first.point(new), free, resolution)
             if met:
                 ways = first.branch(new), second.branch(grown)
                 here, there = ways if forward else ways[::-1]

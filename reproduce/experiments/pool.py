@@ -1,0 +1,61 @@
+"""Work on many scenes, one scene a job, in as many processes as there are cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from tqdm.auto import tqdm
+
+from lunar_rescue.scenes.splits import split_of
+from reproduce.storage.errors import UserError
+from reproduce.storage.processes import map_in_processes
+
+Row = TypeVar("Row")
+
+
+def scene_seeds(tests: int, first_seed: int) -> range:
+    """Return the seeds of so many scenes.
+
+    Raises:
+        UserError: On numbers out of range, or where the scenes belong to more than one split.
+    """
+    if tests < 1:
+        raise UserError(f"tests: expected at least 1, got {tests}")
+    if first_seed < 0:
+        raise UserError(f"first seed: expected at least 0, got {first_seed}")
+    first, last = split_of(first_seed), split_of(first_seed + tests - 1)
+    if first != last:
+        raise UserError(
+            f"first seed {first_seed}, tests {tests}: the scenes belong to {first} and {last}; "
+            "choose seeds of one split"
+        )
+    return range(first_seed, first_seed + tests)
+
+
+def map_scenes(
+    function: Callable[[int], Row],
+    seeds: Sequence[int],
+    initializer: Callable[..., object] | None = None,
+    arguments: tuple[Any, ...] = (),
+    *,
+    title: str = "scenes",
+    workers: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """Return a function's answers to all seeds, in their order, and show how far it has come meanwhile.
+
+    Args:
+        function: Called with a seed in a worker process; must pickle.
+        seeds: The scenes.
+        initializer: Called once in each worker, with ``arguments``, which must pickle.
+        arguments: For the initializer.
+        title: Text beside the progress bar.
+        workers: Number of processes; None is one a core.
+        quiet: Whether to leave the progress bar out.
+
+    Raises:
+        RunFailedError: When a worker was killed or crashed.
+    """
+    answers = map_in_processes(function, seeds, workers, initializer, arguments)
+    return list(tqdm(answers, total=len(seeds), unit="scene", desc=title, disable=quiet))
