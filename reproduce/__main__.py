@@ -143,8 +143,8 @@ def replay(
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
-    from reproduce.report.film import parse_size
-    from reproduce.report.film import replay as show
+    from reproduce.report.replay import parse_size
+    from reproduce.report.replay import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
     ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
@@ -167,14 +167,15 @@ def export(
 def watch(
     run: Policy,
     seed: SceneSeed = 0,
-    rescues: Annotated[int, typer.Option(min=0, help="how many to show; 0 goes on until the window is closed")] = 0,
+    rescues: Annotated[int, typer.Option(min=0, help="how many to show; 0 goes on until Ctrl-C")] = 0,
     posture: Posture = None,
     task: Task = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="of the page; 0 takes a free one")] = 8080,
 ) -> None:
-    """Watch rescues in PyBullet's window, in real time; needs a display."""
+    """Watch rescues in the browser, in real time; needs no display where it runs."""
     from reproduce.report.watch import watch as show
 
-    show(run, seed, rescues, posture=posture, task=task, tell=typer.echo)
+    show(run, seed, rescues, posture=posture, task=task, port=port, tell=typer.echo)
 
 
 @app.command()
@@ -191,7 +192,8 @@ def notebooks(
     """Run the notebooks with papermill, in order, and build the report."""
     from reproduce.report.notebooks import run_notebooks
 
-    run_notebooks(preset, only=only, assignments=parameter or [])
+    folder = run_notebooks(preset, only=only, assignments=parameter or [])
+    typer.echo(f"{folder}: notebooks written")
     if report:
         _build_report(replays)
 

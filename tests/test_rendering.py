@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +22,8 @@ from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.scenes.suit import suit_parts
 from lunar_rescue.scenes.terrain import Terrain
-from reproduce.report.film import parse_size, strip
-from reproduce.report.watch import watch
+from reproduce.report.film import strip
+from reproduce.report.replay import parse_size
 from reproduce.storage.errors import UserError
 
 SMALL = (240, 176)
@@ -206,20 +203,3 @@ def test_strip_and_sizes() -> None:
     for bad in ("720", "x", "720x529", "16x16", "-480x352", "4800x352"):
         with pytest.raises(UserError, match="--size"):
             parse_size(bad)
-
-
-def test_watch_says_where_there_is_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(UserError, match="no display"):
-        watch("scripted", 0)
-    with pytest.raises(UserError, match="seed"):
-        watch("scripted", -1)
-    done = subprocess.run(
-        [sys.executable, "-m", "reproduce", "watch", "scripted"],
-        capture_output=True,
-        text=True,
-        env={k: v for k, v in os.environ.items() if "DISPLAY" not in k} | {"DISPLAY": ":4321"},
-        check=False,
-    )
-    assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and ":4321" in done.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,58 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue import LunarRescueEnv
 from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
-from reproduce.experiments.evaluate import find_policy, run_episode
-from reproduce.learning.policy import Actions, Observations, Policy
-from reproduce.storage.errors import UserError
+from reproduce.experiments.evaluate import run_episode
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
 from reproduce.storage.files import write_atomically
 
-FRAMES_PER_SECOND = 10  # real time: an action is held for 0.1 s
-LAST_SECONDS = 1.5  # a film stays on its last picture so long
 STRIP_PICTURES = 8
-FORMATS = (".mp4", ".gif", ".png", ".html")
-SIZE_RANGE = (128, 1920)  # px
-
-
-class WatchedPolicy:
-    """Acts as another policy does and calls a function after every choice, before it is acted out."""
-
-    def __init__(self, policy: Any, see: Callable[[NDArray[Any] | None], None]) -> None:
-        """Wrap a policy.
-
-        Args:
-            policy: Chooses the actions.
-            see: Called with the policy's sub-goals in the base frame (2, 3) [m], or None where it has none.
-        """
-        self._policy, self._see = policy, see
-
-    def prepare(self, scene: Scene) -> None:
-        """Tell the other policy the scene, if it wants to know."""
-        if hasattr(self._policy, "prepare"):
-            self._policy.prepare(scene)
-
-    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
-        actions: Actions = self._policy.act(observations, starts)
-        drawn = self.overlay().get("sub-goal")
-        self._see(None if drawn is None else drawn[0])
-        return actions
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """What the other policy draws."""
-        drawn: dict[str, NDArray[Any]] = self._policy.overlay()
-        return drawn
-
-
-def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
-    """The policy and the scene of a rescue that is to be shown; see ``film``."""
-    if seed < 0:
-        raise UserError(f"seed: expected at least 0, got {seed}")
-    _, policy = find_policy(where)
-    return policy, sample_scene(seed, posture=posture, task=task)
 
 
 def film(
@@ -102,11 +58,6 @@ def film(
     return frames, row
 
 
-def ending(row: dict[str, Any]) -> str:
-    """How a rescue ended, in words."""
-    return "rescued" if row["is_success"] else f"failed by {str(row['failure']).replace('_', ' ')}"
-
-
 def strip(frames: list[Picture], count: int = STRIP_PICTURES, columns: int = 4) -> Picture:
     """Some of the pictures, evenly spaced in time, side by side with a thin gap, read row by row."""
     chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]
@@ -116,41 +67,9 @@ def strip(frames: list[Picture], count: int = STRIP_PICTURES, columns: int = 4) 
     return np.vstack(rows)[:-4, :-4]
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height [px] from text such as 720x528, both multiples of 16.
-
-    Raises:
-        UserError: On anything else.
-    """
-    parts = text.lower().split("x")
-    low, high = SIZE_RANGE
-    if len(parts) != 2 or not all(p.isdecimal() and low <= int(p) <= high and int(p) % 16 == 0 for p in parts):
-        raise UserError(f"--size: expected WIDTHxHEIGHT, multiples of 16 from {low} to {high}; got {text!r}")
-    return int(parts[0]), int(parts[1])
-
-
-def replay(
-    where: str | Path,
-    seed: int,
-    out: Path,
-    posture: str | None = None,
-    task: str | None = None,
-    *,
-    overlay: bool = True,
-    size: tuple[int, int] = SIZE,
-) -> dict[str, Any]:
-    """Write one rescue to a file; its ending says the format. See ``film``."""
-    if out.suffix not in FORMATS:
-        raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")
-    if out.suffix == ".html":
-        from reproduce.report.viewer import record, write_replay
-
-        recording = record(where, seed, posture, task)
-        write_replay(recording, out)
-        return recording.row
-    frames, row = film(where, seed, posture, task, overlay=overlay, size=size)
-    write_atomically(out, lambda path: _write(path, out.suffix, frames))
-    return row
+def write_film(frames: list[Picture], out: Path) -> None:
+    """Write pictures as a film (.mp4, .gif) or as a strip (.png), as the file's ending says."""
+    write_atomically(out, lambda path: _write(path, out.suffix.lower(), frames))
 
 
 def _write(path: Path, kind: str, frames: list[Picture]) -> None:

@@ -76,7 +76,7 @@ def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
 
 
 def _make(clip: Clip, folder: Path) -> str:
-    from reproduce.report.film import ending
+    from reproduce.report.acting import ending
     from reproduce.report.viewer import record, write_replay
 
     recording = record(clip.where, clip.seed)

@@ -1,13 +1,14 @@
-"""Runs the notebooks with papermill, in order.
+"""Run the notebooks with papermill, in order, with nothing of the user's own surroundings in their kernels.
 
-papermill only warns of a parameter that a notebook does not know, and takes any type; here names and types are checked
-for all notebooks before the first one runs.
+papermill only warns of a parameter that a notebook does not know, and takes any value; here names and values are
+checked for all notebooks before the first one runs.
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,15 +17,14 @@ from typing import Any
 
 import nbformat
 import papermill
+from nbclient.exceptions import DeadKernelError
 from papermill.exceptions import PapermillExecutionError
 
-from reproduce.learning.config import PRESETS
+from reproduce.report.parameters import check_value
 from reproduce.storage.errors import RunFailedError, UserError
-from reproduce.storage.paths import RESULTS, ROOT
+from reproduce.storage.paths import NOTEBOOKS, RESULTS, notebook_files
 
-SOURCES = ROOT / "notebooks"
 OUTPUTS = "notebooks"
-TAG = "parameters"
 
 
 @dataclass(frozen=True)
@@ -45,36 +45,29 @@ class Notebook:
         return self.path.stem
 
 
-def find_notebooks(only: str | None = None, sources: Path = SOURCES) -> list[Notebook]:
-    """The notebooks in order, or the one whose number or name is ``only``."""
-    paths = sorted(sources.glob("[0-9][0-9]_*.ipynb"))
+def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[Notebook]:
+    """Return the notebooks in order, or the one whose number or name is ``only``."""
+    paths = notebook_files(sources)
+    if not paths:
+        raise UserError(f"{sources}: no notebooks there; they need a checkout of the project")
     if only is not None:
-        chosen = [path for path in paths if only in (path.stem, path.stem[:2])]
-        if not chosen:
-            known = ", ".join(path.stem for path in paths)
+        known = ", ".join(path.stem for path in paths)
+        paths = [path for path in paths if only in (path.stem, path.stem[:2])]
+        if not paths:
             raise UserError(f"--only: expected a number or name of {known}; got {only!r}")
-        paths = chosen
-    return [Notebook(path, _parameters(path)) for path in paths]
+    return [Notebook(path, _defaults(path)) for path in paths]
 
 
-def _parameters(path: Path) -> dict[str, Any]:
-    """Names and values assigned in the cell tagged ``parameters``."""
-    document = nbformat.read(path, as_version=4)
-    cells = [cell for cell in document.cells if TAG in cell.metadata.get("tags", [])]
-    if len(cells) != 1:
-        raise UserError(f"{path}: expected one cell tagged {TAG!r}, found {len(cells)}")
-    values = {}
-    for statement in ast.parse(cells[0].source).body:
-        match statement:
-            case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                values[name] = ast.literal_eval(value)
-            case _:
-                raise UserError(f"{path}: the {TAG} cell must hold NAME = VALUE only, line {statement.lineno} does not")
-    return values
+def _defaults(path: Path) -> dict[str, Any]:
+    """Read names and values from the cell tagged ``parameters``."""
+    parameters = papermill.inspect_notebook(str(path))
+    if not parameters:
+        raise UserError(f"{path}: expected a cell tagged 'parameters' with NAME = VALUE in it")
+    return {name: ast.literal_eval(parameter["default"]) for name, parameter in parameters.items()}
 
 
 def parse_assignments(assignments: list[str]) -> dict[str, Any]:
-    """Values of NAME=VALUE, where VALUE is a Python literal, or text as it stands."""
+    """Read NAME=VALUE pairs, where VALUE is a Python literal, or text as it stands."""
     values: dict[str, Any] = {}
     for assignment in assignments:
         name, separator, text = assignment.partition("=")
@@ -88,46 +81,19 @@ def parse_assignments(assignments: list[str]) -> dict[str, Any]:
 
 
 def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Parameters for each notebook by name.
+    """Return the parameters of each notebook by its name.
 
     Raises:
-        UserError: On an unknown preset, a name that no chosen notebook has, or a value of another type.
+        UserError: On an unknown preset, a name that no chosen notebook has, or a value of a wrong type or range.
     """
-    if preset not in PRESETS:
-        raise UserError(f"--preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
+    check_value("preset", preset)
     known = sorted({name for notebook in notebooks for name in notebook.defaults})
-    for name in given:
+    for name, value in given.items():
         if name not in known:
             raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(known)}")
-    chosen: dict[str, dict[str, Any]] = {}
-    for notebook in notebooks:
-        values = {name: value for name, value in given.items() if name in notebook.defaults}
-        for name, value in values.items():
-            _check_type(notebook, name, value)
-        own = {"preset": preset} if "preset" in notebook.defaults else {}
-        chosen[notebook.name] = {**own, **values}
-    return chosen
-
-
-def _check_type(notebook: Notebook, name: str, value: Any) -> None:
-    wanted = type(notebook.defaults[name])
-    number = wanted is float and isinstance(value, int) and not isinstance(value, bool)
-    if type(value) is not wanted and not number:
-        got = f"{value!r} ({type(value).__name__})"
-        raise UserError(f"--parameter: {name} of {notebook.name}: expected {wanted.__name__}, got {got}")
-
-
-@contextmanager
-def _own_kernel() -> Iterator[None]:
-    """Let Jupyter find this interpreter's own kernel first, whatever is registered on the machine."""
-    before = dict(os.environ)
-    os.environ.pop("JUPYTER_PATH", None)
-    os.environ["JUPYTER_PREFER_ENV_PATH"] = "1"
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+        check_value(name, value)
+    everything = {"preset": preset, **given}
+    return {n.name: {name: value for name, value in everything.items() if name in n.defaults} for n in notebooks}
 
 
 def run_notebooks(
@@ -135,7 +101,7 @@ def run_notebooks(
     only: str | None = None,
     assignments: list[str] | None = None,
     results: Path = RESULTS,
-    sources: Path = SOURCES,
+    sources: Path = NOTEBOOKS,
 ) -> Path:
     """Run notebooks; return the folder of what came out.
 
@@ -145,16 +111,44 @@ def run_notebooks(
     """
     notebooks = find_notebooks(only, sources)
     parameters = check_parameters(notebooks, preset, parse_assignments(assignments or []))
-    folder = results / OUTPUTS
+    folder = results.resolve() / OUTPUTS
     folder.mkdir(parents=True, exist_ok=True)
-    with _own_kernel():
+    with _own_surroundings(results.resolve()):
         for notebook in notebooks:
             _run(notebook, parameters[notebook.name], folder, sources.parent)
     return folder
 
 
+@contextmanager
+def _own_surroundings(results: Path) -> Iterator[None]:
+    """Give kernels this interpreter, our plotting, our results, and configuration folders that hold nothing.
+
+    What a person has configured (a plotting backend, start-up files, kernels of other environments) would change or
+    empty the pictures, and a home that cannot be written to would stop the kernel.
+    """
+    before = dict(os.environ)
+    with tempfile.TemporaryDirectory(prefix="kernel-", dir="/tmp") as name:  # short: sockets lie below it
+        folder = Path(name)
+        (folder / "matplotlibrc").touch()
+        os.environ.pop("JUPYTER_PATH", None)
+        os.environ.update(
+            JUPYTER_PREFER_ENV_PATH="1",
+            MPLBACKEND="module://matplotlib_inline.backend_inline",
+            MATPLOTLIBRC=str(folder / "matplotlibrc"),
+            REPRODUCE_RESULTS=str(results),
+            **{key: str(folder / key.lower()) for key in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_RUNTIME_DIR")},
+        )
+        if not os.access(os.environ.get("HOME", ""), os.W_OK):
+            os.environ.update(HOME=str(folder), MPLCONFIGDIR=str(folder))
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+
+
 def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Path) -> None:
-    failed, finished = folder / f"{notebook.name}.failed.ipynb", folder / f"{notebook.name}.ipynb"
+    failed, finished = failed_output(folder, notebook.name), folder / f"{notebook.name}.ipynb"
     try:
         papermill.execute_notebook(
             notebook.path,
@@ -165,21 +159,44 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
             cwd=root,
             progress_bar=True,
             autosave_cell_every=0,
+            shutdown_kernel="immediate",  # one that is asked to end is interrupted first, and says so on the terminal
             extra_arguments=["--log-level=CRITICAL"],  # a kernel that is interrupted has nothing to say
         )
-    except PapermillExecutionError as error:
-        where = f"{notebook.name}, cell {error.exec_count}: {error.ename}: {error.evalue}"
+    except (PapermillExecutionError, DeadKernelError) as error:
+        what = f"{error.ename}: {error.evalue}" if isinstance(error, PapermillExecutionError) else "the kernel died"
+        where = f"{notebook.name}, cell {stopped_at(failed)}: {what}"
         raise RunFailedError(f"notebook failed: {where} (output kept in {failed})") from None
     if not is_complete(failed):
-        raise RunFailedError(f"notebook {notebook.name} did not run to its end (output kept in {failed})")
+        where = f"{notebook.name}, cell {stopped_at(failed)}"
+        raise RunFailedError(f"notebook stopped before its end: {where} (output kept in {failed})")
     os.replace(failed, finished)
 
 
+def failed_output(folder: Path, name: str) -> Path:
+    """Return the place of what is left of a notebook that failed."""
+    return folder / f"{name}.failed.ipynb"
+
+
+def stopped_at(path: Path) -> int:
+    """Return the number of the last code cell that began, counted as a reader of the source counts."""
+    code = [cell for cell in _source_cells(path) if cell.cell_type == "code" and cell.source.strip()]
+    return max((n for n, cell in enumerate(code, 1) if cell.execution_count is not None), default=1)
+
+
 def is_complete(path: Path) -> bool:
-    """Whether an output notebook ran to its end: no exception, an end time, and every code cell was executed."""
-    document = nbformat.read(path, as_version=4)
-    meta = document.metadata.get("papermill", {})
-    code = [cell for cell in document.cells if cell.cell_type == "code" and cell.source.strip()]
+    """Tell whether an output notebook ran to its end: no exception, an end time, and every code cell completed."""
+    meta = nbformat.read(path, as_version=4).metadata.get("papermill", {})
+    code = [cell for cell in _source_cells(path) if cell.cell_type == "code" and cell.source.strip()]
     # A cell that raises SystemExit can end a notebook with exit code 0 and the rest not run.
-    executed = all(cell.metadata.get("papermill", {}).get("status") == "completed" for cell in code)
-    return not meta.get("exception") and bool(meta.get("end_time")) and executed
+    return not meta.get("exception") and bool(meta.get("end_time")) and all(map(_completed, code))
+
+
+def _completed(cell: Any) -> bool:
+    # papermill calls cells completed that a dead kernel never began.
+    return cell.metadata.get("papermill", {}).get("status") == "completed" and cell.execution_count is not None
+
+
+def _source_cells(path: Path) -> list[Any]:
+    """Cells of an output notebook without those that papermill adds."""
+    added = {"injected-parameters", "papermill-error-cell-tag"}
+    return [c for c in nbformat.read(path, as_version=4).cells if not added & set(c.metadata.get("tags", []))]

@@ -3,79 +3,32 @@
 from __future__ import annotations
 
 import io
-from contextlib import redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lunar_rescue import LunarRescueEnv, Scene
-from lunar_rescue.pictures import shapes
-from lunar_rescue.pictures.camera import scene_camera
-from lunar_rescue.pictures.overlay import (
-    ARM_COLOURS,
-    MARK_COLOUR,
-    NEAR_STOPS,
-    SUBGOAL_COLOUR,
-    caption,
-    near_colour,
-    nearest_links,
-    subgoals_in_scene,
-)
-from lunar_rescue.pictures.stage import Stage, VisualShape
-from lunar_rescue.pictures.stage_set import StageSet, suit_pose
-from lunar_rescue.scenes.rocks import rock_marks
-from lunar_rescue.tasks import TARGET_RADIUS
+from lunar_rescue.pictures.stage import VisualShape
 from reproduce.experiments.evaluate import run_episode
-from reproduce.report.film import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.actors import Actors, Moment, Spectator
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
 
 if TYPE_CHECKING:
     import viser
 
-    from lunar_rescue.episode import Episode
-
-Array = NDArray[np.float64]
-
-GROUND_HALF, GROUND_POINTS = 2.4, 97  # m, points a side
-REGOLITH = (0.42, 0.41, 0.39)
-BACKGROUND = (8, 9, 12)
 BEGIN = 0.3  # s that the first picture stays
-FAR_AWAY = np.full(3, -50.0)  # m, where things are put that are not to be seen
 LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
 
 
 @dataclass(frozen=True)
-class Moment:
-    """Where everything is after one step.
-
-    Attributes:
-        links: Place and quaternion (x y z w) of each link's frame.
-        suit: Place and quaternion of the suit's meshes.
-        ends: Arm ends (2, 3) [m].
-        targets: Target areas (2, 3) [m].
-        subgoals: In the scene (2, 3) [m], or None.
-        near: For each rock the joint and the mark point nearest to each other (2, 3) [m], and the colour.
-        words: Caption.
-    """
-
-    links: dict[int, tuple[Array, Array]]
-    suit: tuple[Array, Array]
-    ends: Array
-    targets: Array
-    subgoals: Array | None
-    near: list[tuple[Array, tuple[int, int, int]]]
-    words: str
-
-
-@dataclass(frozen=True)
 class Recording:
-    """A rescue that was acted out.
+    """A rescue that was acted out, with everything that is needed to show it.
 
     Attributes:
         scene: Its scene.
@@ -91,214 +44,55 @@ class Recording:
 
 
 def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:
-    """Act one rescue out and note where everything is.
-
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Of the scene.
-        posture: Draw the scene with this posture.
-        task: Draw the scene with this task.
-    """
+    """Act one rescue out and note where everything is; see ``acting.load_policy_and_scene``."""
     policy, scene = load_policy_and_scene(where, seed, posture, task)
-    env, stage = LunarRescueEnv(), StageSet(Stage())
+    env, spectator = LunarRescueEnv(), Spectator()
     moments: list[Moment] = []
-    robot: list[VisualShape] = []
 
     def note(subgoals: NDArray[Any] | None = None, words: str = "") -> None:
-        if stage.show(env.episode):
-            robot.extend(stage.stage.visual_shapes(stage.robot))
-        moments.append(_moment(env.episode, stage, subgoals, words))
+        moments.append(spectator.look(env.episode, subgoals, words)[0])
 
     try:
         row = run_episode(env, WatchedPolicy(policy, note), scene)
         note(words=ending(row))
     finally:
         env.close()
-        stage.close()
-    return Recording(scene, robot, moments, row)
+        spectator.close()
+    return Recording(scene, spectator.robot, moments, row)
 
 
-def _moment(episode: Episode, stage: StageSet, subgoals: NDArray[Any] | None, words: str) -> Moment:
-    near = []
-    if len(episode.marks):
-        for link in nearest_links(episode.robot.points, episode.marks):
-            close = link.distance < 2 * NEAR_STOPS[-1]
-            line = np.stack([link.joint, link.mark]) if close else np.stack([FAR_AWAY, FAR_AWAY])
-            near.append((line, near_colour(link.distance)))
-    known = subgoals is not None and np.isfinite(subgoals).all()
-    return Moment(
-        stage.stage.link_poses(stage.robot),
-        suit_pose(episode),
-        episode.robot.ends.copy(),
-        episode.targets().copy(),
-        subgoals_in_scene(episode, np.asarray(subgoals)) if known else None,
-        near,
-        "\n".join(caption(episode, words)),
-    )
+@contextmanager
+def viser_server(port: int = 0) -> Iterator[viser.ViserServer]:
+    """Serve viser's page on this machine alone, without its announcements; port 0 takes a free one."""
+    import viser  # takes a second, and only this wants it
+
+    with redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    try:
+        yield server
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def write_replay(recording: Recording, out: Path) -> None:
-    """Write the page.
+    """Write the page of a recording.
 
     Raises:
         UserError: When it would be larger than ``LARGEST``.
     """
-    import viser  # takes a second, and only this wants it
-
-    with redirect_stdout(io.StringIO()):  # it announces its address, which is of no use here
-        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
+    first, *rest = recording.moments
+    with viser_server() as server:
         serializer = server.get_scene_serializer()
-        actors = _Actors(server, recording)
-        actors.show(recording.moments[0])
+        subgoals = any(moment.subgoals is not None for moment in recording.moments)
+        actors = Actors(server, recording.scene, recording.robot, first, subgoals)
+        actors.show(first)
         serializer.insert_sleep(BEGIN)
-        for moment in recording.moments[1:]:
+        for moment in rest:
             actors.show(moment)
             serializer.insert_sleep(1.0 / FRAMES_PER_SECOND)
         serializer.insert_sleep(LAST_SECONDS)
         page = serializer.as_html(dark_mode=True)
-    finally:
-        with redirect_stdout(io.StringIO()):
-            server.stop()
     if len(page) > LARGEST:
         raise UserError(f"{out}: the replay would take {len(page)} bytes, more than {LARGEST}")
     write_text(out, page)
-
-
-def _rgb(colour: tuple[float, ...]) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * c) for c in colour)
-    return red, green, blue
-
-
-def _wxyz(quaternion: Array | tuple[float, ...]) -> Array:
-    x, y, z, w = quaternion
-    return np.array([w, x, y, z])
-
-
-class _Actors:
-    """What stands in the scene, and what moves."""
-
-    def __init__(self, server: viser.ViserServer, recording: Recording) -> None:
-        self._scene = server.scene
-        server.initial_camera.position, server.initial_camera.look_at, server.initial_camera.up = _camera(recording)
-        server.initial_camera.fov = np.radians(42.0)
-        self._scene.set_up_direction(tuple(recording.scene.terrain.up()))
-        self._scene.set_background_image(np.full((2, 2, 3), BACKGROUND, np.uint8), format="png")
-        self._light(recording)
-        self._stand(recording)
-        self._links = self._robot(recording.robot)
-        self._suit = self._scene.add_frame("/astronaut", show_axes=False)
-        for index, (colour, mesh) in enumerate(shapes.suit_shapes(recording.scene.model.limbs).items()):
-            self._mesh(f"/astronaut/part{index}", mesh.vertices, mesh.faces, colour)
-        self._ends = [
-            self._scene.add_icosphere(f"/ends/{i}", 0.02, c, subdivisions=2) for i, c in enumerate(ARM_COLOURS)
-        ]
-        self._targets = [
-            self._scene.add_icosphere(f"/targets/{i}", TARGET_RADIUS, c, opacity=0.35, cast_shadow=False)
-            for i, c in enumerate(ARM_COLOURS)
-        ]
-        first = recording.moments[0]
-        self._subgoals = []
-        if any(moment.subgoals is not None for moment in recording.moments):
-            self._subgoals = [
-                self._scene.add_icosphere(f"/subgoals/{i}", 0.035, SUBGOAL_COLOUR, subdivisions=1, flat_shading=True)
-                for i in range(2)
-            ]
-        self._lines = self._scene.add_line_segments(
-            "/distances", *self._segments(first), thickness=2.0, thickness_units="screen"
-        )
-        above = recording.scene.terrain.height(recording.scene.base_x, recording.scene.base_y)
-        place = np.array([recording.scene.base_x, recording.scene.base_y, float(above) + 1.15])
-        self._words = self._scene.add_label("/caption", first.words, position=place, anchor="bottom-center")
-
-    def show(self, moment: Moment) -> None:
-        """Move everything there."""
-        for link, (place, turn) in moment.links.items():
-            if link in self._links:
-                self._links[link].position, self._links[link].wxyz = place, _wxyz(turn)
-        place, turn = moment.suit
-        self._suit.position, self._suit.wxyz = place, _wxyz(turn)
-        for which in range(2):
-            self._ends[which].position = moment.ends[which]
-            self._targets[which].position = moment.targets[which]
-        for which, ball in enumerate(self._subgoals):
-            if moment.subgoals is not None:  # the last moment has none: they stay where they were
-                ball.position = moment.subgoals[which]
-        points, colours = self._segments(moment)
-        self._lines.points, self._lines.colors = points, colours
-        self._words.text = moment.words
-
-    @staticmethod
-    def _segments(moment: Moment) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Lines (n, 2, 3) from ends to targets and from joints to rocks, and their colours (n, 2, 3)."""
-        to_targets = [np.stack(pair) for pair in zip(moment.ends, moment.targets, strict=True)]
-        lines = [*to_targets, *(line for line, _ in moment.near)]
-        colours = [*ARM_COLOURS, *(colour for _, colour in moment.near)]
-        return np.array(lines, np.float32), np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
-
-    def _mesh(self, name: str, vertices: Array, faces: NDArray[np.int64], colour: tuple[float, ...]) -> None:
-        self._scene.add_mesh_simple(
-            name, vertices.astype(np.float32), faces.astype(np.uint32), color=_rgb(colour), side="double"
-        )
-
-    def _light(self, recording: Recording) -> None:
-        # Nothing casts shadows: at this size the player's shadow maps are coarser than what they fall on.
-        self._scene.configure_environment_map(None)
-        self._scene.configure_default_lights(enabled=False)
-        yaw = np.degrees(recording.scene.base_yaw)
-        # The sun stands low beside the robot, as in the pictures; what the ground throws back lights the far sides.
-        for name, turn, height, strength in (("sun", -40.0, 33.0, 2.6), ("back", 140.0, 40.0, 0.7)):
-            azimuth, up = np.radians(yaw + turn), np.radians(height)
-            place = 10.0 * np.array([np.cos(azimuth) * np.cos(up), np.sin(azimuth) * np.cos(up), np.sin(up)])
-            self._scene.add_light_directional(f"/light/{name}", intensity=strength, position=tuple(place.tolist()))
-        self._scene.add_light_ambient("/light/ground", intensity=0.5)
-
-    def _stand(self, recording: Recording) -> None:
-        """Ground, rocks and their mark points."""
-        scene = recording.scene
-        line = np.linspace(-GROUND_HALF, GROUND_HALF, GROUND_POINTS)
-        middle = np.array([scene.base_x + scene.astronaut_x, scene.base_y + scene.astronaut_y]) / 2
-        x, y = np.meshgrid(middle[0] + line, middle[1] + line)
-        ground = np.stack([x, y, scene.terrain.height(x, y)], axis=-1).reshape(-1, 3)
-        corner = (np.arange(GROUND_POINTS - 1)[:, None] * GROUND_POINTS + np.arange(GROUND_POINTS - 1)).ravel()
-        across, up = corner + 1, corner + GROUND_POINTS
-        faces = np.concatenate([np.stack([corner, across, up + 1], -1), np.stack([corner, up + 1, up], -1)])
-        self._mesh("/ground", ground, faces, REGOLITH)
-        for index, rock in enumerate(scene.rocks):
-            solid = shapes.hull(rock.vertices())
-            self._mesh(f"/rocks/{index}", solid.vertices, solid.faces, shapes.BASALT)
-        if scene.rocks:
-            marks = rock_marks(scene.rocks).reshape(-1, 3).astype(np.float32)
-            self._scene.add_point_cloud("/marks", marks, MARK_COLOUR, point_size=0.012, point_shape="circle")
-
-    def _robot(self, robot: list[VisualShape]) -> dict[int, Any]:
-        frames = {}
-        for index, shape in enumerate(robot):
-            if shape.link not in frames:
-                frames[shape.link] = self._scene.add_frame(f"/robot/link{shape.link}", show_axes=False)
-            solid = _solid(shape)
-            placed = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
-            self._mesh(f"/robot/link{shape.link}/shape{index}", placed, np.asarray(solid.faces), shape.colour)
-        return frames
-
-
-def _solid(shape: VisualShape) -> trimesh.Trimesh:
-    length, radius, _ = shape.size
-    match shape.kind:
-        case "box":
-            return trimesh.creation.box(shape.size)
-        case "cylinder":
-            return trimesh.creation.cylinder(radius, length, sections=24)
-        case "capsule":
-            solid = trimesh.creation.capsule(length, radius, count=[16, 12])
-            solid.vertices -= solid.bounds.mean(axis=0)  # some versions begin it at one end
-            return solid
-        case "sphere":
-            return trimesh.creation.icosphere(2, radius=shape.size[0])
-    raise UserError(f"robot file: a replay cannot draw a {shape.kind}")
-
-
-def _camera(recording: Recording) -> tuple[Array, Array, Array]:
-    """Where the pictures of ``reproduce replay`` are taken from: place, point looked at, up."""
-    camera = scene_camera(recording.scene)
-    return camera.eye, np.array(camera.target), recording.scene.terrain.up()

@@ -1,28 +1,31 @@
-"""Rescues in PyBullet's window, in real time."""
+"""``reproduce watch``: rescues in the browser, in real time; it needs no display where it runs."""
 
 from __future__ import annotations
 
 import itertools
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.physics.robot import CONTROL_STEP
-from lunar_rescue.pictures.window import Window, why_no_window
-from reproduce.experiments.evaluate import find_policy, run_episode
-from reproduce.report.film import WatchedPolicy, ending
+from reproduce.experiments.evaluate import run_episode
+from reproduce.report.acting import WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.actors import Actors, Spectator
+from reproduce.report.viewer import viser_server
 from reproduce.storage.errors import UserError
 
+if TYPE_CHECKING:
+    import viser
+
+PORT = 8080
 PAUSE = 2.0  # s, after each rescue
 LAG = 0.5  # s, that a slow picture may be made up for by quicker ones after it
-
-
-class _ClosedError(Exception):
-    """The window has been closed."""
+PATIENCE = 60.0  # s, that the first rescue waits for somebody to open the page
 
 
 def watch(
@@ -31,56 +34,87 @@ def watch(
     rescues: int = 0,
     posture: str | None = None,
     task: str | None = None,
+    port: int = PORT,
     tell: Callable[[str], None] = print,
 ) -> None:
-    """Play rescues one after another, from the scene of ``seed`` on, until the window is closed.
-
-    Closing the window ends the whole program: PyBullet's window knows no other way.
+    """Play rescues one after another in the browser, from the scene of ``seed`` on, until interrupted.
 
     Args:
         where: Run folder, or a method that does not learn by its name.
-        seed: Of the first scene.
+        seed: Seed of the first scene.
         rescues: How many, or 0 for no end.
         posture: Draw scenes with this posture.
         task: Draw scenes with this task.
-        tell: Called with a line about each rescue.
+        port: Port of the page on this machine; 0 takes a free one.
+        tell: Called with the page's address, then with a line about each rescue.
 
     Raises:
-        UserError: On a wrong argument, or where there is no display.
+        UserError: On a wrong argument, or a port that is taken.
     """
-    if seed < 0:
-        raise UserError(f"seed: expected at least 0, got {seed}")
     if rescues < 0:
         raise UserError(f"--rescues: expected at least 0, got {rescues}")
-    _, policy = find_policy(where)
-    sample_scene(seed, posture=posture, task=task)  # a wrong posture or task is told before a window opens
-    if reason := why_no_window():
-        raise UserError(f"watch: {reason}; `reproduce replay` makes a film without one")
-    env, window = LunarRescueEnv(), Window()
-    watched = WatchedPolicy(policy, _show_in_time(env, window))
-    try:
-        for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
-            scene = sample_scene(number, posture=posture, task=task)
-            row = run_episode(env, watched, scene)
-            tell(f"scene {number}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
-            window.show(env.episode, note=ending(row))
-            time.sleep(PAUSE)
-    except _ClosedError:
-        tell("window closed")
-    finally:
-        env.close()
-        window.close()
+    _check_port(port)
+    policy, _ = load_policy_and_scene(where, seed, posture, task)
+    env = LunarRescueEnv()
+    with viser_server(port) as server:
+        live = LiveView(server)
+        watched = WatchedPolicy(policy, lambda subgoals: live.show(env.episode, subgoals))
+        try:
+            tell(f"watch at http://localhost:{server.get_port()} (Ctrl-C ends it)")
+            live.wait_for_somebody(PATIENCE)
+            for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
+                row = run_episode(env, watched, sample_scene(number, posture=posture, task=task))
+                tell(f"scene {number}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
+                live.show(env.episode, words=ending(row))
+                time.sleep(PAUSE)
+        finally:
+            env.close()
+            live.close()
 
 
-def _show_in_time(env: LunarRescueEnv, window: Window) -> Callable[[NDArray[Any] | None], None]:
-    """A function that shows the episode, once a ``CONTROL_STEP`` on average."""
-    due = [0.0]
+def _check_port(port: int) -> None:
+    """Refuse a port that cannot be served on; viser would take the next one without a word."""
+    if not 0 <= port <= 65535:
+        raise UserError(f"--port: expected 0 to 65535, got {port}")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise UserError(f"--port: {port} cannot be served on: {error.strerror}") from None
 
-    def show(subgoals: NDArray[Any] | None) -> None:
-        time.sleep(max(0.0, due[0] - time.monotonic()))
-        due[0] = max(due[0], time.monotonic() - LAG) + CONTROL_STEP
-        if not window.is_open:
-            raise _ClosedError
-        window.show(env.episode, subgoals)
 
-    return show
+class LiveView:
+    """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        """Begin with an empty scene.
+
+        Args:
+            server: Serves the page.
+        """
+        self._server, self._spectator = server, Spectator()
+        self._actors: Actors | None = None
+        self._due = 0.0
+
+    def wait_for_somebody(self, seconds: float) -> None:
+        """Wait until the page is open in a browser, or so many seconds are over."""
+        end = time.monotonic() + seconds
+        while not self._server.get_clients() and time.monotonic() < end:
+            time.sleep(0.1)
+
+    def show(self, episode: Any, subgoals: NDArray[Any] | None = None, words: str = "") -> None:
+        """Show where everything is now, when it is time for it; see ``Spectator.look``."""
+        time.sleep(max(0.0, self._due - time.monotonic()))
+        self._due = max(self._due, time.monotonic() - LAG) + CONTROL_STEP
+        moment, new = self._spectator.look(episode, subgoals, words)
+        if new or self._actors is None:
+            self._server.scene.reset()
+            self._actors = Actors(self._server, episode.scene, self._spectator.robot, moment, subgoals is not None)
+            self._due = time.monotonic() + CONTROL_STEP
+        with self._server.atomic():
+            self._actors.show(moment)
+
+    def close(self) -> None:
+        """Take the stage down."""
+        self._spectator.close()

@@ -1,0 +1,68 @@
+"""Act a rescue out while somebody looks on: what films, 3D replays and the live view share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunar_rescue import Scene, sample_scene
+from reproduce.experiments.evaluate import find_policy
+from reproduce.learning.policy import Actions, Observations, Policy
+from reproduce.storage.errors import UserError
+
+FRAMES_PER_SECOND = 10  # real time: an action is held for 0.1 s
+LAST_SECONDS = 1.5  # a film stays on its last picture so long
+
+
+class WatchedPolicy:
+    """Wrap a policy and report its sub-goals before each action is executed."""
+
+    def __init__(self, policy: Any, see: Callable[[NDArray[Any] | None], None]) -> None:
+        """Wrap a policy.
+
+        Args:
+            policy: Chooses the actions.
+            see: Called with the policy's sub-goals in the base frame (2, 3) [m], or None where it has none.
+        """
+        self._policy, self._see = policy, see
+
+    def prepare(self, scene: Scene) -> None:
+        """Tell the other policy the scene, if it wants to know."""
+        if hasattr(self._policy, "prepare"):
+            self._policy.prepare(scene)
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """Choose actions as the other policy does, then report; see ``Policy.act``."""
+        actions: Actions = self._policy.act(observations, starts)
+        subgoals = self.overlay().get("sub-goal")
+        self._see(None if subgoals is None else subgoals[0])
+        return actions
+
+    def overlay(self) -> dict[str, NDArray[Any]]:
+        """Return what the other policy wants drawn."""
+        drawn: dict[str, NDArray[Any]] = self._policy.overlay()
+        return drawn
+
+
+def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
+    """Load the policy and draw the scene of a rescue that is to be shown.
+
+    Args:
+        where: Run folder, or a method that does not learn by its name.
+        seed: Seed of the scene.
+        posture: Draw the scene with this posture.
+        task: Draw the scene with this task.
+    """
+    if seed < 0:
+        raise UserError(f"seed: expected at least 0, got {seed}")
+    _, policy = find_policy(where)
+    return policy, sample_scene(seed, posture=posture, task=task)
+
+
+def ending(row: dict[str, Any]) -> str:
+    """Say in words how a rescue ended."""
+    return "rescued" if row["is_success"] else f"failed by {str(row['failure']).replace('_', ' ')}"

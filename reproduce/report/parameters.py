@@ -1,0 +1,72 @@
+"""Check a notebook's parameters before it does anything, however it was started.
+
+papermill only warns of a parameter that a notebook does not know, and takes any value. So each notebook begins with
+``check(globals(), ...)``, and the command line makes the same check for all notebooks before the first one runs.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from lunar_rescue.scenes.splits import TRAIN
+from reproduce.experiments.methods import PRESETS
+from reproduce.storage.errors import UserError
+
+STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+_Seed = Annotated[int, Field(strict=True, ge=0, lt=TRAIN.stop)]
+#: Every parameter that some notebook has: its type and range.
+PARAMETERS: dict[str, TypeAdapter[Any]] = {
+    "preset": TypeAdapter(str, config=STRICT),
+    "seed": TypeAdapter(_Seed),
+    "first_seed": TypeAdapter(_Seed),
+    "tests": TypeAdapter(Annotated[int, Field(strict=True, ge=1, le=100_000)]),
+    "steps": TypeAdapter(Annotated[int, Field(strict=True, ge=1)]),
+    "gamma": TypeAdapter(Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)]),
+}
+_CHECKED = "_parameters_checked"
+
+
+def check_value(name: str, value: Any) -> None:
+    """Refuse a value of the wrong type or out of range.
+
+    Raises:
+        UserError: Naming the parameter, what was expected and what came.
+    """
+    if name == "preset" and value not in PRESETS:
+        raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {value!r}")
+    try:
+        PARAMETERS[name].validate_python(value)
+    except ValidationError as error:
+        problem = error.errors()[0]["msg"]
+        raise UserError(f"{name}: {problem[0].lower()}{problem[1:]}; got {value!r}") from None
+
+
+def check(namespace: dict[str, Any], *names: str) -> None:
+    """Check the parameters of the notebook that calls this in its first cell after the parameters.
+
+    Args:
+        namespace: The notebook's ``globals()``.
+        names: The notebook's own parameters.
+
+    Raises:
+        UserError: On a value out of range, or a name that the notebook does not have.
+    """
+    for name in names:
+        check_value(name, namespace[name])
+    # Later the notebook has names of its own, and whoever runs this cell again gives no new parameters.
+    if not namespace.get(_CHECKED):
+        unknown = sorted(set(map(str, filter(_is_parameter(namespace), namespace))) - set(names))
+        if unknown:
+            raise UserError(f"{unknown[0]}: no parameter of this notebook; expected {', '.join(names)}")
+    namespace[_CHECKED] = True
+
+
+def _is_parameter(namespace: dict[str, Any]) -> Any:
+    """Tell what papermill may have put there: plain data under a public name that IPython does not bring."""
+    hidden = set()
+    if "get_ipython" in namespace:
+        hidden = set(namespace["get_ipython"]().user_ns_hidden)
+    plain = (str, int, float, bool, list, dict, tuple, type(None))
+    return lambda name: not name.startswith("_") and name not in hidden and isinstance(namespace[name], plain)
