@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 REFERENCE := results/reference
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers soak clean
+.PHONY: help setup reproduce test test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -83,9 +83,6 @@ bench: $(STAMP)  ## measure speed
 bench-peers: $(STAMP)  ## the same beside panda-gym, which this installs into .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation -c requirements.lock -e '.[peers]'
 	$(BIN)/reproduce bench
-
-soak: $(STAMP)  ## a million random steps over all scenes (about 10 minutes on 2 cores) into results/soak.json
-	$(BIN)/reproduce soak
 
 clean:  ## remove caches and built pages; never results
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache results/report results/notebooks results/scratch

@@ -268,7 +268,7 @@ def tables() -> None:
 
 @app.command()
 def bench(
-    part: Annotated[str, typer.Option(help="env, training, profile, methods, ground or all")] = "all",
+    part: Annotated[str, typer.Option(help="env, training, tests or all")] = "all",
     json: JsonFile = None,
 ) -> None:
     """Measure speed, each figure against a peer in the same run."""
@@ -280,22 +280,6 @@ def bench(
         typer.echo(f"{name}: {value}")
     if json:
         write_json(json, result)
-
-
-@app.command()
-def soak(
-    steps: Annotated[int, typer.Option(min=1, help="random steps, shared among all cores")] = 1_000_000,
-    json: JsonFile = None,
-) -> None:
-    """Step all scenes with random actions: nothing may raise, every number is finite, memory does not grow."""
-    from reproduce.experiments.soak import run_soak
-
-    result = run_soak(steps, json)
-    terrains, tasks = (" and ".join(result[key]) for key in ("terrains", "tasks"))
-    typer.echo(f"{result['steps']} steps, {result['episodes']} episodes, {result['steps_per_s']} steps/s")
-    typer.echo(f"{result['postures']} postures, {tasks}, {terrains} ground; ends: {result['ends']}")
-    growth = f"{100 * result['largest_memory_growth']:.2f} %"
-    typer.echo(f"memory over the last half: {growth}{'' if result['memory_judged'] else ', too short to be judged'}")
 
 
 @app.command()

@@ -60,7 +60,7 @@ def _words(seconds: float) -> str:
 
 def items(plan: Plan) -> list[Item]:
     """All rows; outputs and steps are the workflow's."""
-    notebook = {name[:2]: (f"notebooks/{name}.ipynb", f"notebook {name}") for name in plan.notebooks()}
+    notebook = {name[:2]: (f"notebooks/{name}.ipynb", f"notebook {name}") for name in plan.notebooks}
 
     def shown(number: str, what: str) -> Item:
         output, step = notebook[number]

@@ -52,7 +52,7 @@ def from_json(cls: type[T], text: str | bytes, where: str) -> T:
         ValueError: In one line: where, field, what was expected and what came.
     """
     try:
-        record: T = _adapter(cls).validate_json(text)
+        record: T = _adapter(cls).validate_json(text)  # type: ignore[arg-type]  # classes are hashable
         return record
     except ValidationError as error:
         raise ValueError(_explain(error, where)) from None

@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.evaluations import EVALUATIONS, TESTS
 from reproduce.experiments.methods import METHODS, get_method
-from reproduce.learning.config import to_dict
+from reproduce.learning.config import TrainingConfig, to_dict
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import notebook_files
@@ -154,7 +154,7 @@ def folder(method: str, seed: int | str) -> str:
     return f"reference/{method}/seed{seed}"
 
 
-def _digest(config: object) -> str:
+def _digest(config: TrainingConfig) -> str:
     return hashlib.sha256(json.dumps(to_dict(config), sort_keys=True).encode()).hexdigest()[:16]
 
 
