@@ -60,7 +60,10 @@ def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[N
 
 def _defaults(path: Path) -> dict[str, Any]:
     """Read names and values from the cell tagged ``parameters``."""
-    parameters = papermill.inspect_notebook(str(path))
+    try:
+        parameters = papermill.inspect_notebook(str(path))
+    except ValueError as error:  # no JSON, no notebook, or one of no language
+        raise UserError(f"{path}: not a notebook of Python: {error}") from None
     if not parameters:
         raise UserError(f"{path}: expected a cell tagged 'parameters' with NAME = VALUE in it")
     return {name: ast.literal_eval(parameter["default"]) for name, parameter in parameters.items()}
