@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from lunar_rescue.episode import Episode
 from lunar_rescue.physics.robot import Robot
-from lunar_rescue.physics.simulation import Simulation
-from lunar_rescue.tasks import BEARING_FORCE, SMALLEST_ERROR, TARGET_RADIUS, Contacts
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY, Simulation
+from lunar_rescue.physics.solver import SAMPLES
+from lunar_rescue.tasks import SMALLEST_ERROR, TARGET_RADIUS, Contacts
 
 Array = NDArray[np.float64]
 
@@ -59,10 +60,30 @@ def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -
     return all(map(under, episode.robot.ends, episode.robot.directions))
 
 
-def body_contacts(simulation: Simulation, robot: Robot, episode: Episode) -> Contacts:
-    """Return who bears the astronaut now: the ground, arm A, arm B."""
-    handle = episode.astronaut.handle
-    rows = simulation.contact_forces(handle, robot.handle)
-    up = [sum(force[2] for _, link, force in rows if link in links) for links in robot.arm_links]
-    bears = (bool(up[0] > BEARING_FORCE), bool(up[1] > BEARING_FORCE))
-    return Contacts(simulation.touching_ground(handle), bears)
+def hold(simulation: Simulation, robot: Robot, episode: Episode) -> Array:
+    """Let a control step pass and return the force of each arm on the astronaut, its mean over the step, (2, 3) [N].
+
+    Contacts are read ``SAMPLES`` times, which also says where the solver has to be fine. Means, as a stiff contact's
+    peaks tell of the solver and not of the rescue.
+    """
+    handle, forces = episode.astronaut.handle, np.zeros((2, 3))
+    for _ in range(SAMPLES):
+        simulation.advance(simulation.settings.substeps_per_sample)
+        rows = simulation.contact_forces(handle, robot.handle)
+        simulation.solve_finely(bool(rows))
+        for _, link, force in rows:
+            for arm, links in enumerate(robot.arm_links):
+                if link in links:
+                    forces[arm] += force
+    return forces / SAMPLES
+
+
+def body_contacts(simulation: Simulation, episode: Episode) -> Contacts:
+    """Return what bears the astronaut: ground, a rock, and the share of the weight that each arm bore in this step."""
+    handle, scene = episode.astronaut.handle, episode.scene
+    shares = episode.forces @ scene.terrain.up() / (scene.mass * LUNAR_GRAVITY)
+    return Contacts(
+        ground=simulation.touching_ground(handle),
+        rock=any(simulation.touching(handle, rock) for rock in episode.rocks),
+        shares=(float(shares[0]), float(shares[1])),
+    )

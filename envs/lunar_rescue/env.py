@@ -12,25 +12,29 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunar_rescue import rewards
-from lunar_rescue.contacts import body_contacts, both_arms_under, mark_distances, touches_rock
+from lunar_rescue.contacts import body_contacts, both_arms_under, hold, mark_distances, touches_rock
 from lunar_rescue.episode import Episode, begin_episode
 from lunar_rescue.observation import as_dict, observation_space
 from lunar_rescue.physics.client import NotCopied
-from lunar_rescue.physics.robot import CONTROL_SUBSTEPS, JOINTS, Robot
+from lunar_rescue.physics.robot import JOINTS, Robot
 from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.physics.solver import SETTINGS, SolverSettings
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.sampling import sample_scene
 from lunar_rescue.scenes.scene import Scene
-from lunar_rescue.scenes.splits import TRAIN
+from lunar_rescue.scenes.splits import SPLITS
 from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS
 
 if TYPE_CHECKING:
     from lunar_rescue.pictures.rendering import Studio
 
 Array = NDArray[np.float64]
-ENVIRONMENT_VERSION = "1.0"  # a change to what an episode does is a new version, see docs/environment.md
+ENVIRONMENT_VERSION = "2.0"  # a change to what an episode does is a new version, see docs/environment.md
 #: What the info of an episode's last step tells about how it ended.
-OUTCOME = ("is_success", "both_arms_under", "failure", "task", "posture")
+OUTCOME = (
+    *("is_success", "both_arms_under", "failure", "task", "posture"),
+    *("peak_force", "peak_speed", "peak_acceleration", "gentle"),
+)
 
 
 class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]]):
@@ -50,6 +54,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         weights: RewardWeights | None = None,
         obstacle_reward: str = "aapf",
         max_steps: int = MAX_STEPS,
+        solver: SolverSettings = SETTINGS,
     ) -> None:
         """Connect to the simulator.
 
@@ -58,6 +63,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
             weights: Weights of the reward's terms.
             obstacle_reward: ``"aapf"`` (Eq. 2) or ``"contact"`` (the ablation of section 4.3).
             max_steps: phi_max, step limit of an episode.
+            solver: How finely the simulator works; other settings are for convergence studies.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
@@ -69,7 +75,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         self.set_max_steps(max_steps)
         self.observation_space: spaces.Space[Any] = observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
-        self.simulation = Simulation()
+        self.simulation = Simulation(solver)
         self.robot = Robot(self.simulation)
         self._closed = False
         self._episode: Episode | None = None
@@ -86,7 +92,12 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-        """Start an episode; ``options`` may hold ``scene``, or ``posture`` and ``task`` to draw one."""
+        """Start an episode.
+
+        Args:
+            seed: Number of the scene in its split, the first one is 0; without one a scene is drawn.
+            options: Either ``scene``, or any of ``split`` (``"train"`` unless given), ``posture`` and ``task``.
+        """
         vector, info = self.reset_flat(seed, options)
         return as_dict(vector), info
 
@@ -134,13 +145,14 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         episode, clipped = self.episode, _checked_action(action)
         before = episode.robot.angles
         self.robot.drive(clipped, before)
-        self.simulation.advance(CONTROL_SUBSTEPS)
-        episode.update(self.robot.state(), episode.astronaut.state())
-        episode.steps += 1
+        forces = hold(self.simulation, self.robot, episode)
+        episode.update(self.robot.state(), episode.astronaut.state(), forces)
         terms, success, failure = self._judge(episode, episode.robot.angles - before)
-        truncated = not success and failure is None and episode.steps >= self.max_steps
-        info = self._info(episode, terms, success, "timeout" if truncated else failure)
-        return self._observe(clipped), sum(terms.values()), success or failure is not None, truncated, info
+        if not success and failure is None and episode.steps >= self.max_steps:
+            failure = "timeout"
+        info = self._info(episode, terms, success, failure)
+        # Time is observed, so its end is a state like any other: terminal, and nothing is to be expected beyond it.
+        return self._observe(clipped), sum(terms.values()), success or failure is not None, False, info
 
     @property
     def episode(self) -> Episode:
@@ -156,18 +168,20 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
 
     # -- parts -------------------------------------------------------------------------------------------------------
     def _choose_scene(self, seed: int | None, options: dict[str, Any]) -> Scene:
-        scene, posture, task = (options.pop(key, None) for key in ("scene", "posture", "task"))
+        scene, posture, task, split = (options.pop(key, None) for key in ("scene", "posture", "task", "split"))
         if options:
-            raise ValueError(f"options: expected scene, posture or task, got {', '.join(map(repr, options))}")
+            raise ValueError(f"options: expected scene, posture, task or split, got {', '.join(map(repr, options))}")
         if scene is not None:
             if not isinstance(scene, Scene):
                 raise ValueError(f"options['scene']: expected a Scene, got {type(scene).__name__}")
-            if posture is not None or task is not None:
-                raise ValueError("options: a scene has its posture and task already; give scene, or posture and task")
+            if posture is not None or task is not None or split is not None:
+                raise ValueError("options: a scene has its posture, task and split already; give them or a scene")
             return scene
-        if seed is None:
-            seed = int(self.np_random.integers(TRAIN.start, TRAIN.stop))
-        return sample_scene(seed, posture=posture, task=task)
+        if split is not None and split not in SPLITS:
+            raise ValueError(f"options['split']: expected one of {', '.join(SPLITS)}, got {split!r}")
+        seeds = SPLITS[split or "train"]
+        number = int(self.np_random.integers(len(seeds))) if seed is None else seed % len(seeds)
+        return sample_scene(seeds[number], posture=posture, task=task)
 
     def _begin(self, scene: Scene) -> Episode:
         """Clear the world of the last episode, or make it anew when it is due, and build a scene."""
@@ -217,11 +231,11 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         return terms, success, failure
 
     def _succeeds(self, e: Episode) -> bool:
-        """Count the steps in the goal pose after process 1, and tell whether they are ``HOLD_STEPS``."""
+        """Count the steps in the goal pose after process 1, and tell whether the body is at rest after ``HOLD_STEPS``."""
         held = e.process == 2 and e.task.pose_reached(e.body)
-        held = held and e.task.contacts_right(body_contacts(self.simulation, self.robot, e))
+        held = held and e.task.contacts_right(body_contacts(self.simulation, e))
         e.held = e.held + 1 if held else 0
-        return e.held >= HOLD_STEPS
+        return e.held >= HOLD_STEPS and e.task.at_rest(e.body)
 
     def _fails(self, e: Episode, touches: bool) -> str | None:
         if touches and e.process == 1:
@@ -237,6 +251,10 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
             "both_arms_under": e.process == 2,
             "task": e.scene.task,
             "posture": e.scene.posture,
+            "peak_force": e.peak_force,
+            "peak_speed": e.peak_speed,
+            "peak_acceleration": e.peak_acceleration,
+            "gentle": e.gentle,
         }
 
 

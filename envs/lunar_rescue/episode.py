@@ -13,9 +13,10 @@ from lunar_rescue.observation import Observer
 from lunar_rescue.physics.astronaut import Astronaut, AstronautState
 from lunar_rescue.physics.robot import Robot, RobotState
 from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.physics.solver import CONTROL_STEP
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import Scene
-from lunar_rescue.tasks import SMALLEST_ERROR, TASK_TYPES, Task
+from lunar_rescue.tasks import GENTLE_ACCELERATION, GENTLE_FORCE, GENTLE_SPEED, SMALLEST_ERROR, TASK_TYPES, Task
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,10 @@ class Episode:
     rock_contact: bool = False
     aapf: float = 0.0  # AAPF term of the last step
     nearest_mark: float = math.inf  # least distance of a joint to a mark point in any step [m]
+    forces: Array = field(default_factory=lambda: np.zeros((2, 3)))  # of the arms on the body, mean of the last step [N]
+    peak_force: float = 0.0  # greatest of an arm on the body in any step [N]
+    peak_speed: float = 0.0  # greatest of the body's centre of gravity after any step [m/s]
+    peak_acceleration: float = 0.0  # greatest mean of a step [m/s^2]
     _ways: Array = field(init=False)  # from targets to entries (2, 3) [m]
     _directions: Array = field(init=False)  # the same, unit length
     _lengths: Array = field(init=False)
@@ -52,12 +57,24 @@ class Episode:
         self._ways = self.astronaut.ways_in[self.order]
         self._lengths = _lengths(self._ways)
         self._directions = self._ways / self._lengths[:, None]
-        self.update(self.robot, self.body)
+        self._targets = self.astronaut.targets(self.body)[self.order]
 
-    def update(self, robot: RobotState, body: AstronautState) -> None:
-        """Take over the state of robot and body after a step."""
-        self.robot, self.body = robot, body
+    def update(self, robot: RobotState, body: AstronautState, forces: Array) -> None:
+        """Take over the state of robot and body after a step, and the arms' forces (2, 3) [N] on the body in it."""
+        gained = math.dist(body.velocity, self.body.velocity) / CONTROL_STEP
+        self.peak_acceleration = max(self.peak_acceleration, gained)
+        self.peak_speed = max(self.peak_speed, math.hypot(*body.velocity))
+        self.peak_force = max(self.peak_force, float(_lengths(forces).max()))
+        self.robot, self.body, self.forces = robot, body, forces
         self._targets = self.astronaut.targets(body)[self.order]
+        self.steps += 1
+
+    @property
+    def gentle(self) -> bool:
+        """Tell whether so far nothing was done to the astronaut that a person would not stand."""
+        peaks = self.peak_force, self.peak_speed, self.peak_acceleration
+        limits = GENTLE_FORCE, GENTLE_SPEED, GENTLE_ACCELERATION
+        return all(peak <= limit for peak, limit in zip(peaks, limits, strict=True))
 
     def targets(self) -> Array:
         """Return P_G, the target areas of arm A and arm B, (2, 3) [m]."""

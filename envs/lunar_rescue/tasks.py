@@ -18,11 +18,15 @@ TARGET_RADIUS = 0.10  # m, an arm end is in its target area within this; the pla
 LIFT_HEIGHT = 0.20  # m, transport height: over the rocks of the work area
 # "Attitude kept": the long axis stays within LIFT_TILT of level as at rest, and the body rolls about it by less than
 # LIFT_ROLL, as a rigid body does when it settles into two arms. Beyond the second pair it has been dropped.
-LIFT_TILT, LIFT_ROLL = math.radians(30.0), math.radians(75.0)
+LIFT_TILT, LIFT_ROLL = math.radians(30.0), math.radians(45.0)
 LOST_TILT, LOST_ROLL = math.radians(60.0), math.radians(110.0)
 BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight up
 HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
-BEARING_FORCE = 10.0  # N upwards from an arm; a plate that only touches from the side does not carry
+BEARING_SHARE = 0.15  # of the weight, that each arm must bear in a lift; one that only touches does not carry
+REST_SPEED, REST_SPIN = 0.1, 0.3  # m/s, rad/s; below both the body is at rest, as it must be at the end
+# What a person would stand (assumption): no arm presses with more than the greatest suited weight, 343 kg on the Moon;
+# no faster than one is laid down; a third of a g, twice what holds a body on the Moon.
+GENTLE_FORCE, GENTLE_SPEED, GENTLE_ACCELERATION = 556.0, 0.5, 3.24  # N, m/s, m/s^2
 # Horizontal way of the centre of gravity from its start beyond which the arms cannot follow, by process [m].
 LOST_DISTANCE = {1: 0.6, 2: 1.6}
 SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the reward functions want them
@@ -33,7 +37,8 @@ class Contacts:
     """Contacts that decide about success, asked for only when the pose is right."""
 
     ground: bool  # astronaut touches the ground
-    arms: tuple[bool, bool]  # arm A and arm B bear some of the astronaut's weight (2,)
+    rock: bool  # astronaut touches a rock
+    shares: tuple[float, float]  # of the astronaut's weight, that arm A and arm B bear
 
 
 class Task(ABC):
@@ -56,6 +61,10 @@ class Task(ABC):
     @abstractmethod
     def contacts_right(self, contacts: Contacts) -> bool:
         """Tell whether the pose is held in the way that the task demands."""
+
+    def at_rest(self, state: AstronautState) -> bool:
+        """Tell whether the body neither moves nor turns."""
+        return math.hypot(*state.velocity) < REST_SPEED and math.hypot(*state.spin) < REST_SPIN
 
     def failure(self, state: AstronautState, process: int) -> str | None:
         """Return a word for what went wrong beyond repair, or None."""
@@ -93,8 +102,8 @@ class Lift(Task):
         return self.rise(state) >= LIFT_HEIGHT and self.tilt(state) <= LIFT_TILT and self.roll(state) <= LIFT_ROLL
 
     def contacts_right(self, contacts: Contacts) -> bool:
-        """Tell whether both arms carry the body and the ground does not."""
-        return not contacts.ground and all(contacts.arms)
+        """Tell whether both arms carry the body, and neither ground nor rocks do."""
+        return not contacts.ground and not contacts.rock and min(contacts.shares) >= BEARING_SHARE
 
     def failure(self, state: AstronautState, process: int) -> str | None:
         """Return a word also when the body has tilted or rolled out of the arms."""

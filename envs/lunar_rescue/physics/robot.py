@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.physics.client import ROBOT_FILE
-from lunar_rescue.physics.simulation import SUBSTEP, Simulation
+from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.physics.solver import CONTROL_STEP
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,6 @@ ARM_WINDOW = np.radians(60.0)  # rad, Eq. 3
 WAIST_WINDOW = np.radians(60.0)  # rad; Eq. 3 leaves the waist out, the same window is our choice
 INITIAL_ARM = np.radians([0.0, 8.0, 0.0, 140.0, 0.0])  # rad, q_init: forearms raised, clear of any posture
 INITIAL_WAIST = 0.0  # rad, upright
-CONTROL_SUBSTEPS = 5
-CONTROL_STEP = CONTROL_SUBSTEPS * SUBSTEP  # s, one action is held this long
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.simulation import SUBSTEP, Simulation
-from lunar_rescue.scenes.postures import DATA_FILE, HELDOUT_FILE, Posture, attitude_rotation, load_postures
+from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.scenes.postures import FILES, Posture, attitude_rotation, load_postures
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 
 SETTLING_TIME = 30.0  # s
@@ -28,7 +28,7 @@ def settle(posture: Posture) -> tuple[float, tuple[float, ...]]:
         rotation = attitude_rotation(posture.attitude)
         lowest = rotation.apply(surface_points(posture.limbs) - mass_properties(posture.limbs).centre)[:, 2].min()
         simulation.place_suit(body, np.array([0.0, 0.0, 0.01 - lowest]), rotation)
-        simulation.advance(int(SETTLING_TIME / SUBSTEP))
+        simulation.advance_by(SETTLING_TIME)
         centre, rotation = simulation.pose(body)
     finally:
         simulation.close()
@@ -38,8 +38,8 @@ def settle(posture: Posture) -> tuple[float, tuple[float, ...]]:
 
 
 def main() -> int:
-    """Settle the postures of both files and write them back."""
-    for path in (DATA_FILE, HELDOUT_FILE):
+    """Settle the postures of all files and write them back."""
+    for path in FILES.values():
         settle_file(path)
     return 0
 

@@ -14,13 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from lunar_rescue.physics.bodies import Bodies, RigidBody
 from lunar_rescue.physics.client import ROBOT_FILE, pb
+from lunar_rescue.physics.solver import SETTINGS, SolverSettings
 
 Array = NDArray[np.float64]
 
 LUNAR_GRAVITY = 1.62  # m/s^2
-SUBSTEP = 0.02  # s; coarser than on Earth will do, as everything falls six times slower (see the physics tests)
-SOLVER_ITERATIONS = 20
-POSITION_GAIN = 0.2  # per substep; with set-points at most SPEED * dt ahead no motor exceeds its speed limit
 # Collision detections that look at every pair of the robot's (some 26) at least once; a third of a millisecond.
 CLEARING = 30
 
@@ -28,9 +26,10 @@ CLEARING = 30
 class Simulation(Bodies):
     """Ground, robot, astronaut and rocks in one PyBullet client."""
 
-    def __init__(self) -> None:
-        """Connect to PyBullet and load the ground."""
+    def __init__(self, settings: SolverSettings = SETTINGS) -> None:
+        """Connect to PyBullet and load the ground; other settings are for convergence studies."""
         super().__init__()
+        self.settings = settings
         # Looked up once: the client binds a function anew at each access.
         self._step = self._client.stepSimulation
         self._joint_states, self._link_states = self._client.getJointStates, self._client.getLinkStates
@@ -43,8 +42,9 @@ class Simulation(Bodies):
         """Empty the world and load the ground again; every other body is gone."""
         self._client.resetSimulation()
         self.set_up_vector(np.array([0.0, 0.0, 1.0]))
+        self._iterations = self.settings.free_iterations
         self._client.setPhysicsEngineParameter(
-            fixedTimeStep=SUBSTEP, numSolverIterations=SOLVER_ITERATIONS, deterministicOverlappingPairs=1
+            fixedTimeStep=self.settings.substep, numSolverIterations=self._iterations, deterministicOverlappingPairs=1
         )
         self._begin()
 
@@ -84,6 +84,7 @@ class Simulation(Bodies):
         moved. They must not touch themselves, and must be placed anew.
         """
         self.remove_bodies()
+        self.solve_finely(False)
         for turn in range(CLEARING):
             for index, handle in enumerate(staying):
                 height = 200.0 * (index + 1) + 100.0 * (turn % 2)
@@ -122,7 +123,7 @@ class Simulation(Bodies):
     # -- moving and reading ----------------------------------------------------------------------------------------
     def drive(self, body: int, joints: list[int], targets: list[float], torques: list[float]) -> None:
         """Set position targets of motors [rad] with torque limits [N m]."""
-        gains = [POSITION_GAIN] * len(joints)
+        gains = [self.settings.position_gain] * len(joints)
         self._set_motors(
             body, joints, pb.POSITION_CONTROL, targetPositions=targets, forces=torques, positionGains=gains
         )
@@ -138,9 +139,20 @@ class Simulation(Bodies):
         )
 
     def advance(self, substeps: int) -> None:
-        """Let time pass, ``SUBSTEP`` seconds at a time."""
+        """Let so many substeps pass."""
         for _ in range(substeps):
             self._step()
+
+    def advance_by(self, seconds: float) -> None:
+        """Let time pass [s], in whole substeps."""
+        self.advance(round(seconds / self.settings.substep))
+
+    def solve_finely(self, fine: bool) -> None:
+        """Choose between the iterations for arms that touch the astronaut and those for arms that do not."""
+        iterations = self.settings.iterations if fine else self.settings.free_iterations
+        if iterations != self._iterations:
+            self._client.setPhysicsEngineParameter(numSolverIterations=iterations)
+            self._iterations = iterations
 
     def joint_states(self, body: int, joints: list[int]) -> tuple[Array, Array, Array]:
         """Read angles [rad], speeds [rad/s] and motor torques [N m], (n,) each."""
@@ -179,10 +191,19 @@ class Simulation(Bodies):
 
     def contact_forces(self, first: int, second: int) -> list[tuple[int, int, Array]]:
         """Return rows (link of first, link of second, force on first (3,) [N]) of the last substep."""
-        rows = []
-        for row in self._contact_points(first, second):
+        rows: list[tuple[int, int, Array]] = []
+        if not self._contact_points(first, second):
+            return rows
+        # All contacts, as what PyBullet filters by body it turns about, but for the directions of friction.
+        for row in self._contact_points():
+            if (row[1], row[2]) == (first, second):
+                sign, own, other = 1.0, row[3], row[4]
+            elif (row[1], row[2]) == (second, first):
+                sign, own, other = -1.0, row[4], row[3]
+            else:
+                continue
             force = row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13])
-            rows.append((int(row[3]), int(row[4]), force))
+            rows.append((int(own), int(other), sign * force))
         return rows
 
     def penetration(self, first: int, second: int) -> float:

@@ -1,4 +1,4 @@
-"""The 20 postures, read and checked from one data file (P8), and those of the held-out split from a second."""
+"""The 20 postures, read and checked from one data file (P8), and those of each held-out split from one of its own."""
 
 from __future__ import annotations
 
@@ -16,8 +16,14 @@ from scipy.spatial.transform import Rotation
 from lunar_rescue.scenes.records import checked, from_json, within
 from lunar_rescue.scenes.suit import Limbs, mass_properties, surface_points
 
-DATA_FILE = Path(__file__).parent.parent / "data" / "postures.json"
-HELDOUT_FILE = Path(__file__).parent.parent / "data" / "heldout_postures.json"
+DATA = Path(__file__).parent.parent / "data"
+DATA_FILE = DATA / "postures.json"
+#: Posture files by the split that first has them; validation and test scenes have those of training.
+FILES = {
+    "train": DATA_FILE,
+    "validation-heldout": DATA / "validation_heldout_postures.json",
+    "heldout": DATA / "heldout_postures.json",
+}
 ROCK_HEIGHT, GRID = 0.35, 0.04  # m, of a footprint: higher than any rock, and its points' spacing
 
 Component = Annotated[float, within((-1.0, 1.0))]
@@ -130,23 +136,24 @@ def load_postures(path: Path | str = DATA_FILE) -> dict[str, Posture]:
     return by_name
 
 
-@lru_cache(maxsize=1)
-def postures() -> dict[str, Posture]:
-    """Return the project's 20 postures by name, in the file's order."""
-    return load_postures()
+_read_once = lru_cache(maxsize=len(FILES))(load_postures)
 
 
-@lru_cache(maxsize=1)
-def heldout_postures() -> dict[str, Posture]:
-    """Return the postures that no training scene has, by name; see ``lunar_rescue.scenes.splits``."""
-    held = load_postures(HELDOUT_FILE)
-    twice = sorted(set(held) & set(postures()))
-    if twice:
-        raise ValueError(f"{HELDOUT_FILE}: also in {DATA_FILE.name}: {', '.join(twice)}")
-    return held
+def postures(split: str = "train") -> dict[str, Posture]:
+    """Return the postures of a key of ``FILES`` by name, in the file's order; the project's 20 unless told otherwise."""
+    return _read_once(FILES[split])
 
 
 @lru_cache(maxsize=1)
 def all_postures() -> dict[str, Posture]:
-    """Return every posture that a scene may name."""
-    return {**postures(), **heldout_postures()}
+    """Return every posture that a scene may name.
+
+    Raises:
+        ValueError: Where two files have a posture of the same name.
+    """
+    known: dict[str, Posture] = {}
+    for split, path in FILES.items():
+        if twice := sorted(set(postures(split)) & set(known)):
+            raise ValueError(f"{path}: also in another file: {', '.join(twice)}")
+        known |= postures(split)
+    return known

@@ -11,10 +11,10 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.scenes.postures import Posture, all_postures, footprint, heldout_postures, postures
+from lunar_rescue.scenes.postures import Posture, all_postures, footprint, postures
 from lunar_rescue.scenes.rocks import Rock, RockField, draw_field, draw_rocks
 from lunar_rescue.scenes.scene import FRICTION_RANGE, HELDOUT_MASSES, MASS_RANGE, TASKS, Scene
-from lunar_rescue.scenes.splits import split_of
+from lunar_rescue.scenes.splits import HELD_OUT, split_of
 from lunar_rescue.scenes.targets import approach_sides, target_areas
 from lunar_rescue.scenes.terrain import Terrain, draw_terrain
 
@@ -53,10 +53,11 @@ def sample_scene(seed: int, *, posture: str | None = None, task: str | None = No
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed: expected an integer >= 0, got {seed!r}")
-    heldout = split_of(int(seed)) == "heldout"
+    split = split_of(int(seed))
+    heldout = split in HELD_OUT
     # The standard library's generator: some forty single numbers cost NumPy's ten times as much.
     rng = Random(int(seed))
-    model, drawn_task = _draw_task(rng, posture, task, heldout_postures() if heldout else postures())
+    model, drawn_task = _draw_task(rng, posture, task, postures(split if heldout else "train"))
     pose = rng.uniform(*CENTRE_RANGE), rng.uniform(*CENTRE_RANGE), rng.uniform(0.0, 2 * math.pi)
     sides = approach_sides(model)
     side = rng.choice(sides)

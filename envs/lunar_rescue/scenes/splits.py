@@ -1,19 +1,35 @@
 """Which seeds belong to which split, so that what is tested on was never trained on.
 
-``test`` scenes are drawn as training scenes are, from other seeds. ``heldout`` scenes have postures, rock fields,
-reliefs and masses that no training, validation or test scene has (see ``lunar_rescue.scenes.scene``).
+Whatever is tried is tried on ``train`` and judged on ``validation`` and ``validation-heldout``. ``test`` and ``heldout``
+are for final figures alone. ``validation`` and ``test`` scenes are drawn as training scenes are, from other seeds; both
+held-out splits have postures, rock fields, reliefs and masses that no other scene has, and postures of their own.
 """
 
 from __future__ import annotations
 
-TEST = range(0, 1_000_000)  # the paper's 1000 tests are the first thousand
-VALIDATION = range(1_000_000, 2_000_000)  # for tuning
-HELDOUT = range(2_000_000, 3_000_000)
-TRAIN = range(3_000_000, 2**31 - 1)
-
-SPLITS: dict[str, range] = {"test": TEST, "validation": VALIDATION, "heldout": HELDOUT, "train": TRAIN}
+_SIZE = 10_000_000
+TRAIN = range(0, 2_000_000_000)
+VALIDATION, VALIDATION_HELDOUT, TEST, HELDOUT = (
+    range(TRAIN.stop + i * _SIZE, TRAIN.stop + (i + 1) * _SIZE) for i in range(4)
+)
+SPLITS: dict[str, range] = {
+    "train": TRAIN,
+    "validation": VALIDATION,
+    "validation-heldout": VALIDATION_HELDOUT,
+    "test": TEST,
+    "heldout": HELDOUT,
+}
+HELD_OUT = ("validation-heldout", "heldout")  # splits that have what no training scene has
+FINAL = ("test", "heldout")  # splits for final figures
 
 
 def split_of(seed: int) -> str:
-    """Return the name of the split that a scene's seed belongs to; seeds past the last range count as training."""
-    return next((name for name, seeds in SPLITS.items() if seed in seeds), "train")
+    """Return the name of the split that a scene's seed belongs to.
+
+    Raises:
+        ValueError: On a seed of no split.
+    """
+    for name, seeds in SPLITS.items():
+        if seed in seeds:
+            return name
+    raise ValueError(f"seed: expected 0 to {HELDOUT.stop - 1}, got {seed!r}")
