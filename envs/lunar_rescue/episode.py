@@ -43,7 +43,9 @@ class Episode:
     rock_contact: bool = False
     aapf: float = 0.0  # AAPF term of the last step
     nearest_mark: float = math.inf  # least distance of a joint to a mark point in any step [m]
-    forces: Array = field(default_factory=lambda: np.zeros((2, 3)))  # of the arms on the body, mean of the last step [N]
+    forces: Array = field(
+        default_factory=lambda: np.zeros((2, 3))
+    )  # of the arms on the body, mean of the last step [N]
     peak_force: float = 0.0  # greatest of an arm on the body in any step [N]
     peak_speed: float = 0.0  # greatest of the body's centre of gravity after any step [m/s]
     peak_acceleration: float = 0.0  # greatest mean of a step [m/s^2]

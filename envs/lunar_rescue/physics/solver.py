@@ -32,7 +32,9 @@ class SolverSettings:
         """Refuse substeps that do not fill the time between two samples."""
         number = CONTROL_STEP / SAMPLES / self.substep
         if abs(number - round(number)) > 1e-9:
-            raise ValueError(f"substep: expected {CONTROL_STEP / SAMPLES:g} s over a whole number, got {self.substep!r}")
+            raise ValueError(
+                f"substep: expected {CONTROL_STEP / SAMPLES:g} s over a whole number, got {self.substep!r}"
+            )
 
     @property
     def substeps_per_sample(self) -> int:

@@ -101,6 +101,16 @@ def footprint(posture: Posture) -> NDArray[np.float64]:
     return GRID * cells.astype(np.float64)
 
 
+@lru_cache(maxsize=64)
+def skyline(posture: Posture) -> NDArray[np.float64]:
+    """Return the highest points of the resting body above a grid on the ground, in its own frame, (M, 3) [m]."""
+    surface = posture.resting_surface()
+    cells, index = np.unique(np.round(surface[:, :2] / GRID).astype(np.int64), axis=0, return_inverse=True)
+    heights = np.full(len(cells), -np.inf)
+    np.maximum.at(heights, index.ravel(), surface[:, 2])
+    return np.column_stack([GRID * cells, heights])
+
+
 def attitude_rotation(attitude: str) -> Rotation:
     """Return the rotation of the body frame for an attitude before settling, head along +x."""
     head = np.array([1.0, 0.0, 0.0])

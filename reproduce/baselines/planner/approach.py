@@ -31,6 +31,7 @@ BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
 HOVER, HOVER_SLOPE, HOVER_LEAN = 0.40, 20.0, 8.0  # m above the slide's begin; slope, and waist further back, deg
 TIPS_FIRST = 6.0  # deg, tips point down by so much more where the slide begins
+HEADINGS = (0.0, 0.5, 1.0)  # of slides, between the robot's own and straight into the body
 SLIDE_STEPS = 5  # places along the slide, the goal included
 BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
 OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
@@ -128,7 +129,11 @@ class ApproachPlanner:
         self._upper = np.minimum(env.robot.upper, window[1]) - 1e-4
         to_base = env.episode.observer.to_base
         self.targets = to_base(env.episode.targets())
-        longest = float(np.linalg.norm(to_base(env.episode.entries()) - self.targets, axis=1).max())
+        ways = to_base(env.episode.entries()) - self.targets
+        longest = float(np.linalg.norm(ways, axis=1).max())
+        # How far the straight ways in lead to the left, as the robot stands askew [rad].
+        askew = np.arctan2(-ways[:, 1], -ways[:, 0])
+        self._headings = [np.array([share * angle for share in HEADINGS]) for angle in askew]
         #: How far before its goal a plate is at each place of a slide [m].
         self._backs = np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
         choices = load_choices()
@@ -176,10 +181,14 @@ class ApproachPlanner:
 
     def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
         """Solve the slides to all goals, (n, SLIDE_STEPS + 1, 5) [rad], and how far they miss them, (n,) [m]."""
-        goals, backs, count = self._goals, self._backs, len(self._goals)
-        turns = np.radians([goal.turn for goal in goals])
-        ahead = np.column_stack([np.cos(turns), arm.side * np.sin(turns), np.zeros(count)])
-        ends = target + np.array([[goal.ahead, arm.side * goal.aside, goal.up] for goal in goals])
+        headings, backs = self._headings[ARMS.index(arm)], self._backs
+        goals, heading = [g for g in self._goals for _ in headings], np.tile(headings, len(self._goals))
+        count = len(goals)
+        turns = heading + arm.side * np.radians([goal.turn for goal in goals])
+        ahead = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(count)])
+        aside = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(count)])
+        ends = target + np.array([[g.ahead] for g in goals]) * np.column_stack([aside[:, 1], -aside[:, 0], aside[:, 2]])
+        ends += np.array([[arm.side * g.aside] for g in goals]) * aside + np.array([[0.0, 0.0, g.up] for g in goals])
         slopes = np.array([goal.slope for goal in goals])
         places = [ends - backs[0] * ahead + [0.0, 0.0, HOVER], *(ends - back * ahead for back in backs)]
         tilts = [np.full(count, HOVER_SLOPE), *(slopes - TIPS_FIRST * back / backs[0] for back in backs)]
