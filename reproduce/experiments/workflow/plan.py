@@ -25,7 +25,8 @@ from reproduce.storage.paths import notebook_files
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
 REPORT = "report/index.html"
-TARGETS = ("policies", "tables", "report")
+#: What a batch can stop at, each with the place to look at then.
+TARGETS = {"policies": "reference", "tables": "tables", "report": REPORT}
 MOST_SEEDS = 1000
 
 
