@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from torch import nn
 
-from lunar_rescue.observation import SIZE
-from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.feudal.policy import FunPolicy, load_network
+from reproduce.baselines.config import SacTrainingConfig
+from reproduce.baselines.feudal.config import FeudalConfig
+from reproduce.baselines.feudal.policy import load_feudal_policy
 from reproduce.baselines.feudal.training import FunTraining
 from reproduce.baselines.planner.policy import PlannerPolicy
 from reproduce.baselines.random import RandomPolicy
-from reproduce.baselines.recurrent_ppo import FlatTraining
-from reproduce.baselines.sac import SacPolicy, SacSpec, SacTraining
+from reproduce.baselines.recurrent_ppo import FlatTraining, load_flat_policy
+from reproduce.baselines.sac import SacTraining, load_sac_policy
 from reproduce.baselines.scripted import ScriptedPolicy
-from reproduce.experiments.trials import tuned
-from reproduce.hrl_dcs.policy import FlatPolicy, HierarchicalPolicy
-from reproduce.hrl_dcs.subgoals import LLN_SIZE, MEANINGS, SUBGOAL_SIZE
+from reproduce.experiments.presets import configuration
+from reproduce.experiments.trials import chosen_changes
+from reproduce.hrl_dcs.config import HierarchicalConfig
+from reproduce.hrl_dcs.policy import load_hierarchical_policy
 from reproduce.hrl_dcs.training import HierarchicalTraining
-from reproduce.learning.config import PRESETS, TrainingConfig
+from reproduce.learning.config import RecurrentConfig, TrainingConfig
 from reproduce.learning.policy import Policy
 from reproduce.storage.checkpoint import Learner
 from reproduce.storage.errors import UserError
-from reproduce.storage.policies import Spec, load_networks, read_policy_json, save_policy
+from reproduce.storage.policies import Spec, read_policy_json, save_policy
 
 
 class Training(Protocol):
     """A training under way."""
 
-    config: TrainingConfig
+    @property
+    def config(self) -> TrainingConfig:
+        """Configuration of the training."""
+        ...
 
     @property
     def learners(self) -> Mapping[str, Learner]:
@@ -54,11 +57,7 @@ class Training(Protocol):
         ...
 
     def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:
-        """What acts, by level: how to build it, and it."""
-        ...
-
-    def policy_metadata(self) -> dict[str, Any]:
-        """What else is needed to act, plain data."""
+        """Return what acts, by level: how to build it, and it."""
         ...
 
     def close(self) -> None:
@@ -74,11 +73,10 @@ class Method:
         name: As on the command line.
         title: As in tables.
         about: One sentence.
-        train: Makes a training from configuration and seed; None for a method that does not learn.
         act: Makes the policy from a run folder (trained methods) or a seed.
-        sizes: For each level the sizes of observation and action.
-        adapt: Changes a preset's configuration to this method's.
-        parts: Parts of the configuration that it reads, besides what all have.
+        train: Makes a training from configuration and seed; None for a method that does not learn.
+        kind: Class of its configuration.
+        changes: What it changes of every preset, as ``reproduce.experiments.presets.changed`` takes it.
         paper_success: Success rate in the paper's Table 1, or None.
     """
 
@@ -86,57 +84,14 @@ class Method:
     title: str
     about: str
     act: Callable[[Any], Policy]
-    train: Callable[[TrainingConfig, int], Training] | None = None
-    sizes: dict[str, tuple[int, int]] | None = None
-    adapt: Callable[[TrainingConfig], TrainingConfig] = lambda config: config
-    parts: tuple[str, ...] = ("low", "reward")
+    train: Callable[[Any, int], Training] | None = None
+    kind: type[TrainingConfig] = TrainingConfig
+    changes: Mapping[str, Any] = field(default_factory=dict)
     paper_success: float | None = None
 
-    def config(self, preset: str) -> TrainingConfig:
-        """This method's configuration in a preset."""
-        if preset not in PRESETS:
-            raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
-        return self.adapt(PRESETS[preset])
-
-
-_TWO_LEVELS = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (LLN_SIZE, JOINTS)}
-_ONE_LEVEL = {"policy": (SIZE, JOINTS)}
-_ACTOR = {"actor": (SIZE, JOINTS)}
-_LARGE_BUFFER = 1_000_000  # transitions, SB3's default
-
-
-def _act_hierarchical(folder: Path) -> Policy:
-    interval = read_policy_json(folder).get("interval")
-    if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
-        raise UserError(f"{folder / 'policy.json'}: interval: expected an integer >= 1, got {interval!r}")
-    subgoals = read_policy_json(folder).get("subgoals")
-    if subgoals not in MEANINGS:
-        raise UserError(f"{folder / 'policy.json'}: subgoals: expected one of {MEANINGS}, got {subgoals!r}")
-    networks = load_networks(folder, _TWO_LEVELS)
-    return HierarchicalPolicy(networks["sgn"], networks["lln"], interval, subgoals, _mirrored(folder))
-
-
-def _act_flat(folder: Path) -> Policy:
-    return FlatPolicy(load_networks(folder, _ONE_LEVEL)["policy"], _mirrored(folder))
-
-
-def _act_feudal(folder: Path) -> Policy:
-    return FunPolicy(load_network(folder, (SIZE, JOINTS)), _mirrored(folder))
-
-
-def _act_sac(folder: Path) -> Policy:
-    return SacPolicy(load_networks(folder, _ACTOR, SacSpec)["actor"], _mirrored(folder))
-
-
-def _with_large_buffer(config: TrainingConfig) -> TrainingConfig:
-    return replace(config, sac=replace(config.sac, buffer_size=_LARGE_BUFFER))
-
-
-def _mirrored(folder: Path) -> bool:
-    mirrored = read_policy_json(folder).get("mirrored")
-    if not isinstance(mirrored, bool):
-        raise UserError(f"{folder / 'policy.json'}: mirrored: expected true or false, got {mirrored!r}")
-    return mirrored
+    def config(self, preset: str) -> Any:
+        """Return this method's configuration, a ``kind``, in a preset."""
+        return configuration(self.kind, preset, self.changes)
 
 
 METHODS: dict[str, Method] = {
@@ -146,62 +101,57 @@ METHODS: dict[str, Method] = {
             "hrl_dcs",
             "HRL-DCS",
             "the paper's method: SGN and LLN, AAPF reward",
-            _act_hierarchical,
+            load_hierarchical_policy,
             HierarchicalTraining,
-            _TWO_LEVELS,
-            parts=("low", "high", "hierarchy", "reward"),
+            HierarchicalConfig,
             paper_success=0.986,
         ),
         Method(
             "hrl_dcs_no_aapf",
             "HRL-DCS w/o AAPF",
             "the ablation: contact reward in place of the AAPF term, nothing else changed",
-            _act_hierarchical,
+            load_hierarchical_policy,
             HierarchicalTraining,
-            _TWO_LEVELS,
-            parts=("low", "high", "hierarchy", "reward"),
-            adapt=lambda config: replace(config, obstacle_reward="contact"),
+            HierarchicalConfig,
+            {"obstacle_reward": "contact"},
             paper_success=0.873,
         ),
         Method(
             "fun",
             "FeUdal Networks",
             "Manager and Worker with goals in a learnt space, for continuous actions",
-            _act_feudal,
+            load_feudal_policy,
             FunTraining,
-            {"fun": (SIZE, JOINTS)},
-            parts=("low", "fun", "reward"),
-            adapt=partial(tuned, "fun"),
+            FeudalConfig,
+            chosen_changes("fun"),
             paper_success=0.918,
         ),
         Method(
             "sac",
             "SAC",
             "flat SAC on the environment's reward, with the paper's toolkit's replay buffer",
-            _act_sac,
+            load_sac_policy,
             SacTraining,
-            _ACTOR,
-            parts=("sac", "reward"),
-            adapt=partial(tuned, "sac"),
+            SacTrainingConfig,
+            chosen_changes("sac"),
         ),
         Method(
             "sac_large_buffer",
             "SAC, large buffer",
             "the same with SB3's usual replay buffer of a million transitions; not in the paper",
-            _act_sac,
+            load_sac_policy,
             SacTraining,
-            _ACTOR,
-            parts=("sac", "reward"),
-            adapt=lambda config: _with_large_buffer(tuned("sac", config)),
+            SacTrainingConfig,
+            {**chosen_changes("sac"), "sac.buffer_size": 1_000_000},  # SB3's default
         ),
         Method(
             "ppo_lstm",
             "Recurrent PPO",
             "one recurrent network on the environment's reward; not in the paper",
-            _act_flat,
+            load_flat_policy,
             FlatTraining,
-            _ONE_LEVEL,
-            adapt=partial(tuned, "ppo_lstm"),
+            RecurrentConfig,
+            chosen_changes("ppo_lstm"),
         ),
         Method(
             "scripted",
@@ -228,7 +178,7 @@ def get_method(name: str) -> Method:
 
 
 def load_policy(folder: Path) -> tuple[Method, Policy]:
-    """The method and policy of a run folder."""
+    """Return the method and the policy of a run folder."""
     name = read_policy_json(folder)["method"]
     if name not in METHODS:
         raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(METHODS)}; got {name!r}")
@@ -236,6 +186,5 @@ def load_policy(folder: Path) -> tuple[Method, Policy]:
 
 
 def export_policy(folder: Path, method: Method, training: Training) -> None:
-    """Write what is needed to act."""
-    extra = {"mirrored": training.config.mirrored, **training.policy_metadata()}
-    save_policy(folder, method.name, training.networks(), extra)
+    """Write what is needed to act into a run folder."""
+    save_policy(folder, method.name, training.networks(), training.config.policy)

@@ -10,10 +10,8 @@ the KL. The trials here are of what is a baseline's own; the last two or three s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
-
-from reproduce.learning.config import TrainingConfig
 
 
 @dataclass(frozen=True)
@@ -21,28 +19,12 @@ class Trial:
     """One configuration that was tried.
 
     Attributes:
-        name: Of the trial, for tables.
-        changes: What differs from the preset, by the names of part and field with a dot between them.
+        name: Name in tables.
+        changes: What differs from the preset, as ``reproduce.experiments.presets.changed`` takes it.
     """
 
     name: str
     changes: Mapping[str, Any]
-
-    def config(self, preset: TrainingConfig) -> TrainingConfig:
-        """The preset with the changes.
-
-        Raises:
-            ValueError: Where the preset has no such field, or the value makes no sense.
-        """
-        config: Any = preset
-        for where, value in self.changes.items():
-            part, _, field = where.partition(".")
-            inner: Any = getattr(config, part, None)
-            if not hasattr(inner, field):
-                raise ValueError(f"trial {self.name!r}: expected the name of a part and a field, got {where!r}")
-            config = replace(config, **{part: replace(inner, **{field: value})})
-        assert isinstance(config, TrainingConfig)
-        return config
 
 
 #: Returns of a whole rescue want the usual lambda; LLN's 0.7 belongs to returns that end with a sub-goal.
@@ -91,7 +73,7 @@ CHOSEN = {
 }
 
 
-def tuned(method: str, preset: TrainingConfig) -> TrainingConfig:
-    """A preset as a method's tuning left it."""
+def chosen_changes(method: str) -> Mapping[str, Any]:
+    """Return what a method's tuning left changed from every preset."""
     (trial,) = (trial for trial in TRIALS[method] if trial.name == CHOSEN[method])
-    return trial.config(preset)
+    return trial.changes

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,9 @@ from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
+from reproduce.experiments.presets import configuration
 from reproduce.experiments.train import train
 from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
-from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import locked, write_text
 from reproduce.storage.paths import COMMITTED, RESULTS
@@ -97,7 +96,7 @@ def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
 
 
 def _measure(method: str, trial: Trial, steps: int, tests: int, quiet: bool) -> dict[str, Any]:
-    config = replace(trial.config(PRESETS[PRESET]), steps=steps, scenes=SCENES)
+    config = configuration(METHODS[method].kind, PRESET, {**trial.changes, "steps": steps, "scenes": SCENES})
     try:
         with tempfile.TemporaryDirectory() as folder:
             curve = train(METHODS[method], config, 0, Path(folder) / method, PRESET, quiet=quiet)

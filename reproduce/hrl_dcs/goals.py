@@ -1,7 +1,7 @@
 """What two layers must know of a task: what a sub-goal is, how far away it is, and what LLN sees and does.
 
-The wrappers of ``hrl_dcs.subgoal_env`` work over any vectorised Gymnasium environment with flat observations and a
-Box action, given ``Goals``. ``RescueGoals`` are those of the rescue; ``PlainGoals`` need only a function from
+``hrl_dcs.subgoal_env`` works over any vectorised Gymnasium environment with flat observations and a Box action, given
+``Goals``. Those of the rescue are ``hrl_dcs.subgoals.RescueGoals``; ``PlainGoals`` need only a function from
 observations to a goal space (see docs/extending.md).
 """
 
@@ -14,18 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.rewards import TERMS
-from reproduce.hrl_dcs.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, distances, in_process_2, lln_observations
-from reproduce.learning.actions import to_environment
-
 Floats = NDArray[np.float32]
-
-APPROACH = [term.name for term in TERMS].index("approach")
-#: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [index for index, term in enumerate(TERMS) if not term.once and index != APPROACH]
-#: Terms that come once an episode, of which INR has a share.
-MILESTONES = [index for index, term in enumerate(TERMS) if term.once]
 
 
 class Goals(Protocol):
@@ -68,45 +57,6 @@ class Goals(Protocol):
     def actions_of(self, observations: Floats, outputs: Floats) -> Floats:
         """The environments' actions for LLN's outputs (n, actions) in [-1, 1]."""
         ...
-
-
-class RescueGoals:
-    """Of the rescue: places of the two arms; see ``reproduce.hrl_dcs.subgoals``."""
-
-    outputs, size, distance_count, view_size, actions = SUBGOAL_SIZE, SUBGOAL_SIZE, 2, LLN_SIZE, JOINTS
-
-    def __init__(self, count: int, meaning: str, pose_share: float, milestone_share: float) -> None:
-        """Start.
-
-        Args:
-            count: Environments.
-            meaning: What SGN's numbers mean.
-            pose_share: Weight of the environment's approach term in INR during process 2: how a plate is held decides
-                whether the body stays on it.
-            milestone_share: Weight in INR of what comes once an episode.
-        """
-        self._anchors = Anchors(count, meaning)
-        self._pose_share, self._milestone_share = pose_share, milestone_share
-        self.update, self.subgoals = self._anchors.update, self._anchors.subgoals
-
-    def distances(self, observations: Floats, subgoals: Floats) -> Floats:
-        """Of each arm, (n, 2) [m]."""
-        return distances(observations, subgoals)
-
-    def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """See ``lln_observations``."""
-        return lln_observations(observations, subgoals, remaining)
-
-    def shared_reward(self, venv: Any, observations: Floats) -> Floats:
-        """Obstacle avoidance and joint motion, and shares of the rest."""
-        terms: Floats = venv.terms
-        shared = terms[:, SHARED_TERMS].sum(axis=1) + self._milestone_share * terms[:, MILESTONES].sum(axis=1)
-        pose: Floats = self._pose_share * terms[:, APPROACH] * in_process_2(observations)
-        return shared + pose
-
-    def actions_of(self, observations: Floats, outputs: Floats) -> Floats:
-        """Eq. 3's actions."""
-        return to_environment(observations, outputs)
 
 
 class PlainGoals:

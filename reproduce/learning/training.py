@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
 from lunar_rescue.scenes.postures import Posture, postures
-from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.config import LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.mirror import Environments, MirroredVecEnv
+from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.vec_env import ClosedVecEnv
 from reproduce.learning.workers import EnvOptions, WorkerVecEnv
 
@@ -58,6 +62,26 @@ def own_arguments(config: LearnerConfig) -> dict[str, Any]:
     }
 
 
+def make_learner(
+    env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
+) -> Any:
+    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
+    learner = kind(
+        RecurrentNetwork,
+        env,
+        policy_kwargs={
+            "hidden_units": config.hidden_units,
+            "bounded_mean": bounded_mean,
+            "log_std_init": config.log_std_init,
+        },
+        seed=seed,
+        **stock_arguments(config),
+        **(own_arguments(config) if issubclass(kind, SequencePPO) else {}),
+    )
+    learner.set_logger(Logger(folder=None, output_formats=[]))
+    return learner
+
+
 def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
     """Reset the learner's environments and memory, as ``learn`` does before it collects."""
     learner._last_obs = None
@@ -96,23 +120,26 @@ class CollectedTraining:
         venv: The environments.
         env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
         learners: All learners by level.
+        steps_per_update: Environment steps of one update.
         logged: What of each learner's log goes into ``progress.csv``.
     """
 
     logged: tuple[str, ...] = ()
 
     def __init__(
-        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any]
+        self,
+        config: TrainingConfig,
+        venv: Environments,
+        env: Any,
+        collector: Any,
+        learners: Mapping[str, Any],
+        n_steps: int,
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
         self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self.steps_per_update = n_steps * config.n_envs
         self._collector = collector
         self.callback = start_collecting(collector, config.steps)
-
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps of one update."""
-        return self.config.low.n_steps * self.config.n_envs
 
     def restart(self, update: int) -> None:
         """Begin new episodes with empty memories; what a resumed run does too."""
@@ -134,10 +161,6 @@ class CollectedTraining:
                 row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
 
-    def policy_metadata(self) -> dict[str, Any]:
-        """What else than networks is needed to act, plain data."""
-        return {}
-
     def close(self) -> None:
         """Stop the environments."""
         self.venv.close()
@@ -146,7 +169,13 @@ class CollectedTraining:
 class RecurrentTraining(CollectedTraining):
     """What trainings with recurrent PPO share."""
 
+    config: RecurrentConfig
     logged = ("approx_kl", "explained_variance", "std", "value_loss")
+
+    def __init__(
+        self, config: RecurrentConfig, venv: Any, env: Any, collector: Any, learners: Mapping[str, Any]
+    ) -> None:
+        super().__init__(config, venv, env, collector, learners, config.low.n_steps)
 
     def collect(self, done: int) -> None:
         """Take one rollout; ``done`` steps were taken before."""
