@@ -20,7 +20,7 @@ from reproduce.baselines.feudal.training import make_fun_learner
 from reproduce.baselines.sac import make_sac
 from reproduce.experiments.methods import METHODS
 from reproduce.learning.config import LearnerConfig
-from reproduce.learning.training import CollectedTraining, make_learner, start_collecting
+from reproduce.learning.training import Training, make_learner, start_collecting
 from reproduce.storage.errors import RunFailedError
 
 LOW: LearnerConfig = replace(METHODS["hrl_dcs"].config("smoke").low, hidden_units=8, n_epochs=2, sequence_length=32)
@@ -101,6 +101,6 @@ def test_learners_are_told_their_level_and_update() -> None:
     """Steps of an update are n_steps times n_envs, so 3 x 4 x 10 steps were three updates."""
     config = replace(METHODS["hrl_dcs"].config("smoke"), n_envs=4, steps=480, low=replace(LOW, n_steps=10))
     training: Any = SimpleNamespace(config=config, steps_per_update=40, learners={"sgn": SimpleNamespace()})
-    CollectedTraining.follow_schedule(training, 120)
+    Training.follow_schedule(training, 120)
     assert training.learners["sgn"].where == "sgn, update 4"
     assert training.learners["sgn"]._current_progress_remaining == 0.75

@@ -12,8 +12,7 @@ import pytest
 
 from reproduce.experiments import tuning
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.presets import PRESETS, changed
-from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
+from reproduce.experiments.presets import CHOSEN, PRESETS, TRIALS, changed
 from reproduce.experiments.tuning import tune, tuning_table
 from reproduce.storage.errors import UserError
 
@@ -21,12 +20,10 @@ from reproduce.storage.errors import UserError
 def test_every_baseline_gets_as_many_trials_and_has_chosen_one() -> None:
     assert len({len(trials) for trials in TRIALS.values()}) == 1
     for method, trials in TRIALS.items():
-        assert len({trial.name for trial in trials}) == len(trials)
-        (chosen,) = (trial for trial in trials if trial.name == CHOSEN[method])
         for preset in PRESETS:
             untuned = replace(METHODS[method], changes={}).config(preset)
-            assert preset != "laptop" or len({changed(untuned, t.changes) for t in trials}) == len(trials)
-            assert METHODS[method].config(preset) == changed(untuned, chosen.changes)
+            assert preset != "laptop" or len({changed(untuned, trial) for trial in trials.values()}) == len(trials)
+            assert METHODS[method].config(preset) == changed(untuned, trials[CHOSEN[method]])
 
 
 def test_a_trial_of_a_setting_that_is_not_there_is_refused() -> None:
@@ -37,8 +34,9 @@ def test_a_trial_of_a_setting_that_is_not_there_is_refused() -> None:
 
 
 def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = Trial("one", {}), Trial("two", {"low.n_epochs": 1})
-    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first,)})
+    first: dict[str, Any] = {"one": {}}
+    second = {"two": {"low.n_epochs": 1}}
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": first})
     monkeypatch.setattr(tuning, "CHOSEN", {"ppo_lstm": "two"})
     options: dict[str, Any] = {"steps": 1, "tests": 2, "quiet": True, "results": tmp_path}
     told: list[str] = []
@@ -48,11 +46,11 @@ def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pyte
     assert json.loads((path.parent / "origins.json").read_text())[path.name]["commit"]
     before = path.read_bytes()
 
-    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first, second)})
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": {**first, **second}})
     measured: list[str] = []
 
-    def measure(method: str, trial: Trial, *rest: Any) -> dict[str, Any]:
-        measured.append(trial.name)
+    def measure(method: str, trial: str, *rest: Any) -> dict[str, Any]:
+        measured.append(trial)
         return {key: made[key].iloc[0] for key in ("score", "both_arms_under", "success_rate", "seconds")}
 
     monkeypatch.setattr(tuning, "_measure", measure)

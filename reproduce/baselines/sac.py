@@ -35,7 +35,7 @@ from reproduce.learning.finite import check_losses
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
 from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser, observe_all
-from reproduce.learning.training import CollectedTraining, make_environments
+from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.policies import load_networks, load_policy_config
 
@@ -170,7 +170,7 @@ class BusyEpisodeLog(EpisodeLog):
         return super().step_wait()
 
 
-class SacTraining(CollectedTraining):
+class SacTraining(Training):
     """Trains SAC; an ``update`` takes as many environment steps as those of the other methods."""
 
     config: SacTrainingConfig

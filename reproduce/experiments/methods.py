@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
-
-from torch import nn
+from typing import Any
 
 from reproduce.baselines.config import SacTrainingConfig
 from reproduce.baselines.feudal.config import FeudalConfig
@@ -18,51 +17,15 @@ from reproduce.baselines.random import RandomPolicy
 from reproduce.baselines.recurrent_ppo import FlatTraining, load_flat_policy
 from reproduce.baselines.sac import SacTraining, load_sac_policy
 from reproduce.baselines.scripted import ScriptedPolicy
-from reproduce.experiments.presets import configuration
-from reproduce.experiments.trials import chosen_changes
+from reproduce.experiments.presets import CHOSEN, TRIALS, configuration
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.policy import load_hierarchical_policy
 from reproduce.hrl_dcs.training import HierarchicalTraining
 from reproduce.learning.config import RecurrentConfig, TrainingConfig
 from reproduce.learning.policy import Policy
-from reproduce.storage.checkpoint import Learner
+from reproduce.learning.training import Training
 from reproduce.storage.errors import UserError
-from reproduce.storage.policies import Spec, read_policy_json, save_policy
-
-
-class Training(Protocol):
-    """A training under way."""
-
-    @property
-    def config(self) -> TrainingConfig:
-        """Configuration of the training."""
-        ...
-
-    @property
-    def learners(self) -> Mapping[str, Learner]:
-        """Learners by level."""
-        ...
-
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps of one update."""
-        ...
-
-    def restart(self, update: int) -> None:
-        """Begin new episodes, as after a checkpoint."""
-        ...
-
-    def update(self, done: int) -> dict[str, Any]:
-        """Collect and learn once; return a row of ``progress.csv``."""
-        ...
-
-    def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:
-        """Return what acts, by level: how to build it, and it."""
-        ...
-
-    def close(self) -> None:
-        """Stop the environments."""
-        ...
+from reproduce.storage.policies import read_policy_json, save_policy
 
 
 @dataclass(frozen=True)
@@ -94,26 +57,21 @@ class Method:
         return configuration(self.kind, preset, self.changes)
 
 
+def _chosen(method: str) -> dict[str, Any]:
+    return TRIALS[method][CHOSEN[method]]
+
+
+_TWO_LAYERS = partial(Method, act=load_hierarchical_policy, train=HierarchicalTraining, kind=HierarchicalConfig)
+_SAC = partial(Method, act=load_sac_policy, train=SacTraining, kind=SacTrainingConfig)
 METHODS: dict[str, Method] = {
     m.name: m
     for m in (
-        Method(
-            "hrl_dcs",
-            "HRL-DCS",
-            "the paper's method: SGN and LLN, AAPF reward",
-            load_hierarchical_policy,
-            HierarchicalTraining,
-            HierarchicalConfig,
-            paper_success=0.986,
-        ),
-        Method(
+        _TWO_LAYERS("hrl_dcs", "HRL-DCS", "the paper's method: SGN and LLN, AAPF reward", paper_success=0.986),
+        _TWO_LAYERS(
             "hrl_dcs_no_aapf",
             "HRL-DCS w/o AAPF",
             "the ablation: contact reward in place of the AAPF term, nothing else changed",
-            load_hierarchical_policy,
-            HierarchicalTraining,
-            HierarchicalConfig,
-            {"obstacle_reward": "contact"},
+            changes={"obstacle_reward": "contact"},
             paper_success=0.873,
         ),
         Method(
@@ -123,26 +81,20 @@ METHODS: dict[str, Method] = {
             load_feudal_policy,
             FunTraining,
             FeudalConfig,
-            chosen_changes("fun"),
+            _chosen("fun"),
             paper_success=0.918,
         ),
-        Method(
+        _SAC(
             "sac",
             "SAC",
             "flat SAC on the environment's reward, with the paper's toolkit's replay buffer",
-            load_sac_policy,
-            SacTraining,
-            SacTrainingConfig,
-            chosen_changes("sac"),
+            changes=_chosen("sac"),
         ),
-        Method(
+        _SAC(
             "sac_large_buffer",
             "SAC, large buffer",
             "the same with SB3's usual replay buffer of a million transitions; not in the paper",
-            load_sac_policy,
-            SacTraining,
-            SacTrainingConfig,
-            {**chosen_changes("sac"), "sac.buffer_size": 1_000_000},  # SB3's default
+            changes={**_chosen("sac"), "sac.buffer_size": 1_000_000},
         ),
         Method(
             "ppo_lstm",
@@ -151,13 +103,10 @@ METHODS: dict[str, Method] = {
             load_flat_policy,
             FlatTraining,
             RecurrentConfig,
-            chosen_changes("ppo_lstm"),
+            _chosen("ppo_lstm"),
         ),
         Method(
-            "scripted",
-            "Script with IK",
-            "inverse kinematics and way-points, no learning",
-            lambda _: ScriptedPolicy(),
+            "scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()
         ),
         Method(
             "planner",

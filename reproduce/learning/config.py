@@ -39,7 +39,7 @@ class LearnerConfig:
     """Discount; paper, section 4.1."""
     gae_lambda: Share = 0.95
     """Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway. That of
-    flat methods is by their tuning trials (``reproduce.experiments.trials``)."""
+    flat methods is by their tuning trials (``reproduce/experiments/trials.toml``)."""
     clip_range: PositiveFloat = 0.2
     """epsilon, acceptable difference of old and new policy; paper, section 4.1."""
     ent_coef: NonNegativeFloat = 1.0e-4

@@ -118,20 +118,6 @@ class MirroredVecEnv(VecEnvWrapper):
         self._mirror = Mirror(venv.num_envs)
         self._everything = np.ones(venv.num_envs, bool)
 
-    @property
-    def terms(self) -> Floats:
-        """Reward terms of the last step, (n, terms); no term knows left from right."""
-        return self.venv.terms
-
-    @property
-    def epoch(self) -> int:
-        """See ``WorkerVecEnv``."""
-        return self.venv.epoch
-
-    @epoch.setter
-    def epoch(self, value: int) -> None:
-        self.venv.epoch = value
-
     def reset(self) -> Floats:
         """Begin new episodes everywhere."""
         observations = self.venv.reset()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,18 +11,19 @@ from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from torch import nn
 
 from lunar_rescue.scenes.postures import Posture, postures
 from reproduce.learning.config import LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.mirror import Environments, MirroredVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.vec_env import ClosedVecEnv
-from reproduce.learning.workers import EnvOptions, WorkerVecEnv
+from reproduce.learning.workers import ClosedVecEnv, EnvOptions, WorkerVecEnv
+from reproduce.storage.policies import Spec
 
 
 def make_environments(config: TrainingConfig, seed: int) -> Environments:
-    """The environments of a training, as learners see them, with the postures of its curriculum."""
+    """Start the environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
     drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
     options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else (), config.scenes == "easy")
@@ -30,31 +32,20 @@ def make_environments(config: TrainingConfig, seed: int) -> Environments:
 
 
 def _weight(posture: Posture, lying_weight: int) -> int:
-    """How many times as often as a posture on a side one is drawn in training."""
+    """Return how many times as often as a posture on a side one is drawn in training."""
     return 1 if posture.attitude.endswith("side") else lying_weight
 
 
 def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
-    return {
-        "learning_rate": lambda left: (
-            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
-        ),
-        "n_steps": config.n_steps,
-        "batch_size": config.batch_size,
-        "n_epochs": config.n_epochs,
-        "gamma": config.gamma,
-        "gae_lambda": config.gae_lambda,
-        "clip_range": config.clip_range,
-        "ent_coef": config.ent_coef,
-        "vf_coef": config.vf_coef,
-        "max_grad_norm": config.max_grad_norm,
-        "device": "cpu",
-    }
+    """Return what SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
+    first, last = config.learning_rate, config.final_learning_rate
+    names = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
+    same = {name: getattr(config, name) for name in names}
+    return {"learning_rate": lambda left: last + left * (first - last), "device": "cpu", **same}
 
 
 def own_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """What only ``SequencePPO`` and its subclasses take."""
+    """Return what only ``SequencePPO`` and its subclasses take of it."""
     return {
         "sequence_length": config.sequence_length,
         "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
@@ -94,7 +85,7 @@ def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = N
 
 
 def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
-    """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
+    """Return means over the episodes of an update, as if all postures were drawn alike; NaN where none ended."""
     known = postures()
     shares = [1.0 / _weight(known[e["posture"]], lying_weight) if "posture" in e else 1.0 for e in episodes]
 
@@ -112,8 +103,8 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
     }
 
 
-class CollectedTraining:
-    """What all trainings share; a subclass makes the learners and says what an update does.
+class Training(ABC):
+    """A training under way; a subclass makes the learners and says what an update does.
 
     Attributes:
         config: The configuration.
@@ -143,7 +134,8 @@ class CollectedTraining:
 
     def restart(self, update: int) -> None:
         """Begin new episodes with empty memories; what a resumed run does too."""
-        self.venv.epoch = update
+        environments: Any = self.venv.unwrapped
+        environments.epoch = update
         start_collecting(self._collector, self.config.steps, self.callback)
 
     def follow_schedule(self, done: int) -> None:
@@ -153,7 +145,7 @@ class CollectedTraining:
             learner.where = f"{level}, update {done // self.steps_per_update + 1}"
 
     def row(self) -> dict[str, Any]:
-        """The row of ``progress.csv`` for what happened since the last one."""
+        """Return the row of ``progress.csv`` for what happened since the last one."""
         row = episode_summary(self.env.episodes, self.config.lying_weight)
         self.env.episodes = []
         for name, learner in self.learners.items():
@@ -161,13 +153,21 @@ class CollectedTraining:
                 row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
 
+    @abstractmethod
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect and learn once, after ``done`` steps; return a row of ``progress.csv``."""
+
+    @abstractmethod
+    def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:
+        """Return what acts, by level: how to build it, and it."""
+
     def close(self) -> None:
         """Stop the environments."""
         self.venv.close()
 
 
-class RecurrentTraining(CollectedTraining):
-    """What trainings with recurrent PPO share."""
+class RecurrentTraining(Training):
+    """A training with recurrent PPO, one rollout an update."""
 
     config: RecurrentConfig
     logged = ("approx_kl", "explained_variance", "std", "value_loss")
