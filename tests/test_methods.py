@@ -78,6 +78,8 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     seen, starts = np.zeros((3, SIZE), np.float32), np.ones(3, bool)
     actions = policy.act(seen, starts)
     assert actions.shape == (3, JOINTS) and np.abs(actions).max() <= 1.0
+    _, fresh = load_policy(parts)
+    assert np.array_equal(fresh.act(seen, np.zeros(3, bool)), actions)  # the first call begins an episode by itself
 
 
 def test_sac_learns_while_its_environments_step(monkeypatch: pytest.MonkeyPatch) -> None:

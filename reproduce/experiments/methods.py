@@ -128,9 +128,9 @@ def get_method(name: str) -> Method:
 
 def load_policy(folder: Path) -> tuple[Method, Policy]:
     """Return the method and the policy of a run folder."""
-    name = read_policy_json(folder)["method"]
-    if name not in METHODS:
-        raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(METHODS)}; got {name!r}")
+    name, learning = read_policy_json(folder)["method"], [m for m, method in METHODS.items() if method.train]
+    if name not in learning:
+        raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(learning)}; got {name!r:.60}")
     return METHODS[name], METHODS[name].act(folder)
 
 

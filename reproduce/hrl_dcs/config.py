@@ -123,7 +123,7 @@ class AnchorConfig:
     def __post_init__(self) -> None:
         """Refuse a rise that ends where it begins."""
         if self.rising_from >= self.rising_to:
-            raise ValueError(f"anchors.rising_to: expected more than {self.rising_from}, got {self.rising_to}")
+            raise ValueError(f"rising_to: expected more than {self.rising_from}, got {self.rising_to}")
 
 
 @checked

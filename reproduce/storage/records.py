@@ -29,10 +29,11 @@ def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
         ValueError: In one line: the path of the field, what was expected and what came.
     """
     try:
-        text = json.dumps(raw)
+        record = from_json(kind, json.dumps(raw), where)
     except RecursionError:
         raise ValueError(f"{where}expected {kind.__name__}, got data nested too deeply") from None
-    record = from_json(kind, text, where)
+    except ValueError as error:  # a record's own check does not know where it is
+        raise ValueError(f"{where}{str(error).removeprefix(where)}") from None
     given = {path for path, _ in flat(raw)}
     if missing := [path for path, _ in flat(to_dict(record)) if path not in given]:
         raise ValueError(f"{where}{missing[0]}: missing")
