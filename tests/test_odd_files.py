@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch as th
+from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
 from safetensors.torch import load_file, save_file
 
 from reproduce.experiments.methods import METHODS, load_policy
@@ -18,7 +19,6 @@ from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpo
 from reproduce.storage.errors import UserError
 from reproduce.storage.paths import COMMITTED
 from reproduce.storage.records import from_dict, to_dict
-from tests.command_line import call
 
 REFERENCE = COMMITTED / "reference"
 NESTED = "[" * 900 + "]" * 900

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.config import Share, TrainingConfig, Units
+from reproduce.learning.config import Share, TrainingConfig
+from reproduce.storage.records import Units
 
 
 @checked

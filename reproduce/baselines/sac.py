@@ -8,7 +8,6 @@ step of all environments together.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +26,8 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.scenes.records import checked
 from reproduce.baselines.config import SacConfig, SacTrainingConfig
-from reproduce.learning.config import PolicyConfig, Units
+from reproduce.learning.config import PolicyConfig
 from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.finite import check_losses
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
@@ -37,7 +35,7 @@ from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser, observe_all
 from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
-from reproduce.storage.policies import load_networks, load_policy_config
+from reproduce.storage.policies import Spec, load_networks, load_policy_config
 
 LEVEL = "actor"  # name of the one learner, in checkpoints and run folders
 EACH_STEP = TrainFreq(1, TrainFrequencyUnit.STEP)
@@ -58,17 +56,8 @@ class StandardisedExtractor(BaseFeaturesExtractor):
         return standardised
 
 
-@checked
-@dataclass(frozen=True)
-class SacSpec:
+class SacSpec(Spec):
     """Sizes, which are all that is needed to build the actor."""
-
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of each of its two layers."""
 
     def build(self) -> Actor:
         """Make an actor of these sizes, not trained."""

@@ -75,12 +75,12 @@ def tune(
 def _known_rows(path: Path, conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Read the rows of trials that were made under the same conditions, by the trial's name."""
     rows: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
-
-    def same(row: dict[str, Any]) -> bool:
-        wanted = conditions.get(row["trial"])
-        return wanted is not None and all(str(row.get(key)) == str(value) for key, value in wanted.items())
-
-    return {row["trial"]: row for row in rows if same(row)}
+    wanted = {name: {key: str(value) for key, value in own.items()} for name, own in conditions.items()}
+    return {
+        name: row
+        for row in rows
+        if (name := row["trial"]) in wanted and {key: str(row.get(key)) for key in wanted[name]} == wanted[name]
+    }
 
 
 def _conditions(trial: str, changes: Changes, steps: int, tests: int) -> dict[str, Any]:

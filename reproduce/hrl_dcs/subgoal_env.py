@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from lunar_rescue.env import OUTCOME
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
 from reproduce.hrl_dcs.high_level import HighLevel
+from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
 from reproduce.learning.spaces import flat_spaces
-from reproduce.learning.workers import RETURN
 
 
 @dataclass
@@ -64,44 +63,36 @@ class RecordedHighLevel(HighLevel):
 
     def rollout(self, gamma: float, lam: float, length: int) -> Rollout | None:
         """Hand out all finished decisions as a rollout and keep those under way; None if there are none."""
-        parts: list[dict[str, Any]] = []
+        finished: list[Decision] = []
+        estimates: list[tuple[Floats, Floats]] = []
         bounds: list[tuple[int, int]] = []
-        total = 0
-        for index, made in enumerate(self.decisions):
-            done = made if made and made[-1].done else made[:-1]
-            if not done:
-                continue
-            self.decisions[index] = made[len(done) :]
-            last_value = made[-1].value if len(done) < len(made) else 0.0
-            starts = np.array([d.start for d in done])
-            values = np.array([d.value for d in done], np.float32)
-            rewards = np.array([d.reward for d in done], np.float32)
-            ends = np.array([d.done for d in done])
-            advantages, returns = advantages_and_returns(rewards, values, last_value, ends, gamma, lam)
-            parts.append({"made": done, "values": values, "advantages": advantages, "returns": returns})
-            bounds += sequence_bounds(starts, total, length)
-            total += len(done)
-        if not parts:
+        for index, decisions in enumerate(self.decisions):
+            done = decisions if decisions and decisions[-1].done else decisions[:-1]
+            if done:
+                rewards, values = (
+                    np.array([getattr(d, name) for d in done], np.float32) for name in ("reward", "value")
+                )
+                ends, starts = np.array([d.done for d in done]), np.array([d.start for d in done])
+                # Where the last one ended its episode, the value after it does not count.
+                estimates.append(advantages_and_returns(rewards, values, decisions[-1].value, ends, gamma, lam))
+                bounds += sequence_bounds(starts, len(finished), length)
+                finished += done
+                self.decisions[index] = decisions[len(done) :]
+        if not finished:
             return None
-        made = [d for part in parts for d in part["made"]]
-        return Rollout(
-            observations=np.array([d.observation for d in made], np.float32),
-            actions=np.array([d.output for d in made], np.float32),
-            log_probs=np.array([d.log_prob for d in made], np.float32),
-            values=np.concatenate([part["values"] for part in parts]),
-            advantages=np.concatenate([part["advantages"] for part in parts]),
-            returns=np.concatenate([part["returns"] for part in parts]),
-            hidden=np.array([d.hidden for d in made], np.float32),
-            bounds=np.array(bounds, np.int64),
-        )
+        advantages, returns = map(np.concatenate, zip(*estimates, strict=True))
+        names = {"observations": "observation", "actions": "output", "log_probs": "log_prob", "values": "value"}
+        columns = {name: np.array([getattr(d, one) for d in finished], np.float32) for name, one in names.items()}
+        hidden = np.array([d.hidden for d in finished], np.float32)
+        whole = {**columns, "advantages": advantages, "returns": returns, "hidden": hidden}
+        return Rollout(**whole, bounds=np.array(bounds, np.int64))
 
 
-class SubGoalVecEnv(VecEnvWrapper):
+class SubGoalVecEnv(EpisodeLog):
     """LLN's environment; see the module.
 
     Attributes:
         high: SGN, which decides in it.
-        episodes: Outcome, returns and steps of the episodes that ended; whoever reads the list empties it.
         cuts: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
     """
 
@@ -120,15 +111,12 @@ class SubGoalVecEnv(VecEnvWrapper):
         count = venv.num_envs
         self.high = RecordedHighLevel(sgn, goals, config.hierarchy.interval, count)
         self._best = np.zeros((count, goals.distance_count), np.float32)
-        self.episodes: list[dict[str, Any]] = []
         self.cuts: list[NDArray[np.bool_]] = []
-        self._returns = np.zeros((count, 3))  # EXR, INR, steps of the episode under way
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
-        observations = np.asarray(self.venv.reset(), np.float32)
+        observations = np.asarray(super().reset(), np.float32)
         self.high.begin()
-        self._returns[:] = 0.0
         self._decide(observations, np.ones(self.num_envs, bool))
         return self._view(observations)
 
@@ -174,7 +162,7 @@ class SubGoalVecEnv(VecEnvWrapper):
     def _credit(
         self, exr: NDArray[Any], inr: Floats, dones: NDArray[Any], infos: list[dict[str, Any]], ended: Floats
     ) -> None:
-        self._returns += np.column_stack([exr, inr, np.ones(self.num_envs)])
+        self.add_up(exr, inr, dones, infos)
         for index in range(self.num_envs):
             decision = self.high.decisions[index][-1]
             decision.reward += float(exr[index])
@@ -186,10 +174,6 @@ class SubGoalVecEnv(VecEnvWrapper):
                 infos[index]["terminal_observation"] = self._goals.view(
                     ended[index : index + 1], self.high.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
-                totals = dict(zip(("exr", "inr", "steps"), self._returns[index], strict=True))
-                totals["exr"] = infos[index].get(RETURN, totals["exr"])
-                self.episodes.append({**{k: infos[index][k] for k in OUTCOME if k in infos[index]}, **totals})
-                self._returns[index] = 0.0
 
     def _value(self, observation: Floats) -> float:
         with th.no_grad():

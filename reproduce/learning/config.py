@@ -13,11 +13,10 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.records import checked
+from reproduce.storage.records import Units
 
 #: A number from 0 to 1, such as a discount or a probability.
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-#: Units of a layer; the bound is what a policy file may make us allocate.
-Units = Annotated[int, Field(ge=1, le=4096)]
 
 
 @checked

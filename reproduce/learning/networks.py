@@ -23,9 +23,9 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.config import Units
 from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser
+from reproduce.storage.policies import Spec
 
 Floats = NDArray[np.float32]
 
@@ -92,20 +92,14 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
 
 @checked
 @dataclass(frozen=True)
-class NetworkSpec:
+class NetworkSpec(Spec):
     """All that is needed to build a ``RecurrentNetwork``."""
 
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of each layer and of the LSTM."""
     bounded_mean: bool
     """Whether the mean passes a tanh."""
 
     def build(self) -> RecurrentNetwork:
-        """Make a network of these sizes, not trained."""
+        """Make the network, not trained."""
         seen, acts = flat_spaces(self.observations, self.actions)
         return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean)
 

@@ -7,38 +7,39 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import torch as th
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from lunar_rescue.scenes.records import checked
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_atomically, write_json
-from reproduce.storage.records import from_dict, to_dict
+from reproduce.storage.records import Units, from_dict, to_dict
 
 FORMAT = 1
 LARGEST_WEIGHTS = 200_000_000  # bytes
 Record = TypeVar("Record")
 
 
-class Spec(Protocol):
-    """All that is needed to build a network: a record with bounds on what a foreign file can make us allocate."""
+@checked
+@dataclass(frozen=True)
+class Spec:
+    """All that is needed to build a network; subclasses add what else it is."""
 
-    @property
-    def observations(self) -> int:
-        """Size of the flat observation."""
-        ...
-
-    @property
-    def actions(self) -> int:
-        """Size of the action."""
-        ...
+    observations: Units
+    """Size of the flat observation."""
+    actions: Units
+    """Size of the action."""
+    hidden_units: Units
+    """Units of each layer and of the LSTM, where it has one."""
 
     def build(self) -> Any:
-        """Make the network, untrained."""
-        ...
+        """Make a network of these sizes, not trained."""
+        raise NotImplementedError
 
 
 def save_policy(folder: Path, method: str, networks: Mapping[str, tuple[Spec, th.nn.Module]], config: Any) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field
 
 from lunar_rescue.scenes.records import from_json
 
 Record = TypeVar("Record")
+#: A size of a network; the bound is what a file of somebody else may make us allocate.
+Units = Annotated[int, Field(ge=1, le=4096)]
 
 
 def to_dict(record: Any) -> dict[str, Any]:

@@ -8,7 +8,8 @@ from typing import Annotated
 from pydantic import Field, NonNegativeFloat
 
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.config import RecurrentConfig, Share, Units
+from reproduce.learning.config import RecurrentConfig, Share
+from reproduce.storage.records import Units
 
 #: c and r; the bound is what a policy file may make us allocate.
 Horizon = Annotated[int, Field(ge=1, le=1000)]

@@ -18,9 +18,10 @@ from torch.nn import functional
 from lunar_rescue.scenes.records import checked
 from reproduce.baselines.feudal.config import Horizon
 from reproduce.baselines.feudal.levels import Manager, Worker
-from reproduce.learning.config import Units
 from reproduce.learning.networks import StateEncoder
 from reproduce.learning.spaces import flat_spaces
+from reproduce.storage.policies import Spec
+from reproduce.storage.records import Units
 
 
 class Memory(NamedTuple):
@@ -74,15 +75,9 @@ class Step:
 
 @checked
 @dataclass(frozen=True)
-class FunSpec:
+class FunSpec(Spec):
     """Sizes, which are all that is needed to build the network."""
 
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of the percept, of Worker's LSTM and of the critics."""
     goal_size: Units
     """d, size of a goal."""
     embedding_size: Units
