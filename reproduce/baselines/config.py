@@ -43,7 +43,7 @@ class SacConfig:
 @checked
 @dataclass(frozen=True)
 class SacTrainingConfig(TrainingConfig):
-    """A training of SAC."""
+    """A training of SAC, flat."""
 
     sac: SacConfig = field(default_factory=SacConfig)
     """What only SAC has."""

@@ -30,8 +30,8 @@ from reproduce.baselines.config import SacConfig, SacTrainingConfig
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.finite import check_losses
+from reproduce.learning.networks import flat_spaces
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser, observe_all
 from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer

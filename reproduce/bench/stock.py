@@ -27,7 +27,7 @@ from lunar_rescue.physics.robot import JOINTS
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
 from reproduce.hrl_dcs.subgoals import RescueGoals
-from reproduce.learning.spaces import flat_spaces
+from reproduce.learning.networks import flat_spaces
 from reproduce.learning.training import OnlySpaces, make_learner, start_collecting
 from reproduce.learning.workers import TERMS
 

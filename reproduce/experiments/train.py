@@ -125,7 +125,7 @@ class _Run:
 
     @property
     def description(self) -> dict[str, Any]:
-        """Content of ``config.json``."""
+        """Return what ``config.json`` holds of this training."""
         return {
             "method": self.method.name,
             "preset": self.preset,

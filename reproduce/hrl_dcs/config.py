@@ -164,6 +164,6 @@ class HierarchicalConfig(RecurrentConfig):
 
     @property
     def policy(self) -> HierarchicalPolicyConfig:
-        """What ``policy.json`` holds of the trained policy besides its networks."""
+        """Return what ``policy.json`` holds of the trained policy besides its networks."""
         anchors = replace(self.anchors, stride=self.acting.stride, lowered=self.acting.lowered)
         return HierarchicalPolicyConfig(self.mirrored, self.hierarchy.interval, anchors)

@@ -22,9 +22,8 @@ from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
 from reproduce.hrl_dcs.high_level import HighLevel
 from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.networks import RecurrentNetwork, flat_spaces
 from reproduce.learning.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
-from reproduce.learning.spaces import flat_spaces
 
 
 @dataclass
@@ -151,7 +150,7 @@ class SubGoalVecEnv(EpisodeLog):
         return self._goals.distances(observations, self.high.subgoals) + np.float32(SMALLEST_ERROR)
 
     def _internal_reward(self, observations: Floats) -> Floats:
-        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment."""
+        """Return INR, Eq. 2 (n,): the approach to the sub-goal, and the other terms from the environment."""
         distance = self._distances(observations)
         h = self._config.hierarchy
         gain = np.exp(self._best - distance) - (1.0 if h.form == "signed" else 0.0)

@@ -11,11 +11,9 @@ import numpy as np
 
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
-from reproduce.hrl_dcs.policy import SIZES
 from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
 from reproduce.hrl_dcs.subgoals import RescueGoals
-from reproduce.learning.networks import NetworkSpec, RecurrentNetwork
-from reproduce.learning.spaces import flat_spaces
+from reproduce.learning.networks import NetworkSpec, RecurrentNetwork, flat_spaces
 from reproduce.learning.training import OnlySpaces, RecurrentTraining, make_environments, make_learner
 
 
@@ -58,6 +56,19 @@ class TwoLayerTraining(RecurrentTraining):
             self.sgn.external_rollout = rollout
             self.sgn.train()
 
+    def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
+        """Return both layers with their sizes; see ``Training``."""
+        layers = {"sgn": (self.sgn, self.config.high, True), "lln": (self.lln, self.config.low, False)}
+        return {
+            level: (
+                NetworkSpec(
+                    *learner.observation_space.shape, *learner.action_space.shape, config.hidden_units, bounded
+                ),
+                learner.policy,
+            )
+            for level, (learner, config, bounded) in layers.items()
+        }
+
 
 class HierarchicalTraining(TwoLayerTraining):
     """Trains SGN and LLN on the rescue."""
@@ -65,11 +76,3 @@ class HierarchicalTraining(TwoLayerTraining):
     def __init__(self, config: HierarchicalConfig, seed: int) -> None:
         goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
         super().__init__(make_environments(config, seed), goals, config, seed)
-
-    def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
-        """Return both layers with their sizes; see ``Training``."""
-        high, low = self.config.high.hidden_units, self.config.low.hidden_units
-        return {
-            "sgn": (NetworkSpec(*SIZES["sgn"], high, bounded_mean=True), self.sgn.policy),
-            "lln": (NetworkSpec(*SIZES["lln"], low, bounded_mean=False), self.lln.policy),
-        }

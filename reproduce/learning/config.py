@@ -22,7 +22,7 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 @checked
 @dataclass(frozen=True)
 class LearnerConfig:
-    """One recurrent PPO learner."""
+    """Settings of one recurrent PPO learner."""
 
     n_steps: PositiveInt = 128
     """Environment steps a rollout and environment. ML-Agents' default buffer is 640; shorter updates more often."""
@@ -97,7 +97,7 @@ class TrainingConfig:
 
     @property
     def policy(self) -> PolicyConfig:
-        """What ``policy.json`` holds of the trained policy besides its networks."""
+        """Return what ``policy.json`` holds of the trained policy besides its networks."""
         return PolicyConfig(self.mirrored)
 
 

@@ -23,11 +23,18 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser
 from reproduce.storage.policies import Spec
 
 Floats = NDArray[np.float32]
+
+
+def flat_spaces(observations: int, actions: int) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of observations (observations,), without bounds, and of actions (actions,) in [-1, 1]."""
+    return (
+        spaces.Box(-np.inf, np.inf, (observations,), np.float32),
+        spaces.Box(-1.0, 1.0, (actions,), np.float32),
+    )
 
 
 class StateEncoder(BaseFeaturesExtractor):

@@ -28,11 +28,9 @@ class Policy(Protocol):
         Returns:
             Actions (n, 11) in [-1, 1].
         """
-        ...
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return what the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
-        ...
 
 
 class MirroredPolicy(ABC):

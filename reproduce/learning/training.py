@@ -162,7 +162,7 @@ class Training(ABC):
         """Return what acts, by level: how to build it, and it."""
 
     def close(self) -> None:
-        """Stop the environments."""
+        """Stop the environments and their workers."""
         self.venv.close()
 
 

@@ -33,21 +33,18 @@ class Learner(Protocol):
 
     def state_tensors(self) -> dict[str, th.Tensor]:
         """Return all arrays that learning goes on from, by name."""
-        ...
 
     def state_numbers(self) -> dict[str, Any]:
         """Return all else that it goes on from, as plain data."""
-        ...
 
     def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
         """Go on from what the two methods above returned."""
-        ...
 
 
 @checked
 @dataclass(frozen=True)
 class Progress:
-    """Counters of a training."""
+    """How far a training is, in counters."""
 
     update: NonNegativeInt
     """Updates done."""
@@ -149,5 +146,5 @@ def delete_checkpoint(folder: Path) -> None:
 
 
 def has_checkpoint(folder: Path) -> bool:
-    """Whether a training can go on from here."""
+    """Return whether a training can go on from here."""
     return (folder / NAME).is_file()

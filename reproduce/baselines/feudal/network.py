@@ -18,8 +18,7 @@ from torch.nn import functional
 from lunar_rescue.scenes.records import checked
 from reproduce.baselines.feudal.config import Horizon
 from reproduce.baselines.feudal.levels import Manager, Worker
-from reproduce.learning.networks import StateEncoder
-from reproduce.learning.spaces import flat_spaces
+from reproduce.learning.networks import StateEncoder, flat_spaces
 from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
 
