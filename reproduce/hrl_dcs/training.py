@@ -32,6 +32,7 @@ class TwoLayerTraining(RecurrentTraining):
             config: The configuration.
             seed: Of networks and minibatches.
         """
+        self.goals = goals
         high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
         env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
@@ -58,15 +59,11 @@ class TwoLayerTraining(RecurrentTraining):
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return both layers with their sizes; see ``Training``."""
-        layers = {"sgn": (self.sgn, self.config.high, True), "lln": (self.lln, self.config.low, False)}
+        high, low, goals = self.config.high.hidden_units, self.config.low.hidden_units, self.goals
+        observations = int(np.prod(self.venv.observation_space.shape or ()))
         return {
-            level: (
-                NetworkSpec(
-                    *learner.observation_space.shape, *learner.action_space.shape, config.hidden_units, bounded
-                ),
-                learner.policy,
-            )
-            for level, (learner, config, bounded) in layers.items()
+            "sgn": (NetworkSpec(observations, goals.outputs, high, bounded_mean=True), self.sgn.policy),
+            "lln": (NetworkSpec(goals.view_size, goals.actions, low, bounded_mean=False), self.lln.policy),
         }
 
 
