@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from reproduce.baselines.random import RandomPolicy
 from reproduce.baselines.recurrent_ppo import FlatTraining, load_flat_policy
 from reproduce.baselines.sac import SacTraining, load_sac_policy
 from reproduce.baselines.scripted import ScriptedPolicy
-from reproduce.experiments.presets import CHOSEN, TRIALS, configuration
+from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.policy import load_hierarchical_policy
 from reproduce.hrl_dcs.training import HierarchicalTraining
@@ -30,27 +30,16 @@ from reproduce.storage.policies import read_policy_json, save_policy
 
 @dataclass(frozen=True)
 class Method:
-    """One method.
+    """One method: how it is trained and how it acts."""
 
-    Attributes:
-        name: As on the command line.
-        title: As in tables.
-        about: One sentence.
-        act: Makes the policy from a run folder (trained methods) or a seed.
-        train: Makes a training from configuration and seed; None for a method that does not learn.
-        kind: Class of its configuration.
-        changes: What it changes of every preset, as ``reproduce.experiments.presets.changed`` takes it.
-        paper_success: Success rate in the paper's Table 1, or None.
-    """
-
-    name: str
-    title: str
-    about: str
-    act: Callable[[Any], Policy]
-    train: Callable[[Any, int], Training] | None = None
-    kind: type[TrainingConfig] = TrainingConfig
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    paper_success: float | None = None
+    name: str  # as on the command line
+    title: str  # as in tables
+    about: str  # one sentence
+    act: Callable[[Any], Policy]  # makes the policy from a run folder (trained methods) or a seed
+    train: Callable[[Any, int], Training] | None = None  # from configuration and seed; None where nothing is learnt
+    kind: type[TrainingConfig] = TrainingConfig  # class of its configuration
+    changes: Changes = field(default_factory=dict)  # what it changes of every preset, see ``presets.changed``
+    paper_success: float | None = None  # success rate in the paper's Table 1
 
     def config(self, preset: str) -> Any:
         """Return this method's configuration, a ``kind``, in a preset."""

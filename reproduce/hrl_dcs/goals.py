@@ -18,21 +18,13 @@ Floats = NDArray[np.float32]
 
 
 class Goals(Protocol):
-    """What a sub-goal is.
+    """What a sub-goal is."""
 
-    Attributes:
-        outputs: Numbers that SGN puts out.
-        size: Numbers of a sub-goal.
-        distance_count: Distances to a sub-goal, whose approach counts on the average.
-        view_size: Size of what LLN sees.
-        actions: Numbers that LLN puts out.
-    """
-
-    outputs: int
-    size: int
-    distance_count: int
-    view_size: int
-    actions: int
+    outputs: int  # numbers that SGN puts out
+    size: int  # numbers of a sub-goal
+    distance_count: int  # distances to a sub-goal, whose approach counts on the average
+    view_size: int  # size of what LLN sees
+    actions: int  # numbers that LLN puts out
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
         """Follow the environments; called with each observation (n, d) and which of them begin an episode (n,)."""

@@ -148,11 +148,3 @@ class Memory:
         self._states[:, :, index] = th.stack(after.pi)
         before = th.stack([hidden[0], cell[0]], dim=1)
         return outputs.numpy(), log_probs.numpy(), values.flatten().numpy(), before.numpy()
-
-
-def layer_table(network: nn.Module) -> list[dict[str, object]]:
-    """Return a row with layer, shape and number of parameters for each tensor of a network, for notebooks."""
-    rows = []
-    for name, parameter in network.named_parameters():
-        rows.append({"layer": name, "shape": tuple(parameter.shape), "parameters": parameter.numel()})
-    return rows

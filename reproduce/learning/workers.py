@@ -43,17 +43,11 @@ class WorkerError(RuntimeError):
 
 @dataclass(frozen=True)
 class EnvOptions:
-    """How the environments of all workers are made and which scenes they show.
+    """How the environments of all workers are made and which scenes they show."""
 
-    Attributes:
-        arguments: Keyword arguments of ``LunarRescueEnv``.
-        postures: Postures to draw from; empty means all.
-        easy: Whether every scene is one of ``easy_scene``.
-    """
-
-    arguments: dict[str, Any]
-    postures: tuple[str, ...] = ()
-    easy: bool = False
+    arguments: dict[str, Any]  # keyword arguments of ``LunarRescueEnv``
+    postures: tuple[str, ...] = ()  # to draw from; empty means all
+    easy: bool = False  # whether every scene is one of ``easy_scene``
 
 
 def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
@@ -146,24 +140,18 @@ class ClosedVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return ``render_mode``, which SB3 asks for; no other attribute can be read."""
-        if attr_name == "render_mode":
-            return [None] * self.num_envs
-        self._refuse(attr_name)
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> NoReturn:
-        """Refuse, as no attribute can be set."""
-        self._refuse(attr_name)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> NoReturn:
-        """Refuse, as no method can be called."""
-        self._refuse(method_name)
+        return [None] * self.num_envs if attr_name == "render_mode" else self.refuse(attr_name)
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Say of each environment that it is not wrapped."""
         return [False] * self.num_envs
 
-    def _refuse(self, name: str) -> NoReturn:
+    def refuse(self, name: str, *args: Any, **kwargs: Any) -> NoReturn:
+        """Refuse to set an attribute or to call a method of single environments."""
         raise AttributeError(f"{type(self).__name__}: single environments are out of reach; {name!r} is not available")
+
+    set_attr: Any = refuse
+    env_method: Any = refuse
 
 
 class WorkerVecEnv(ClosedVecEnv):
