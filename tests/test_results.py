@@ -26,7 +26,7 @@ from reproduce.analysis.tables import (
     table1,
 )
 from reproduce.experiments.evaluate import mass_class
-from reproduce.learning.splits import train_seed
+from reproduce.learning.workers import train_seed
 from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.report.pages import PAGES, rewritten
 from reproduce.storage.errors import UserError

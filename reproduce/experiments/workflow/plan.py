@@ -17,10 +17,11 @@ from pydantic.dataclasses import dataclass
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.evaluations import EVALUATIONS, TESTS
 from reproduce.experiments.methods import METHODS, get_method
-from reproduce.learning.config import TrainingConfig, to_dict
+from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import notebook_files
+from reproduce.storage.records import to_dict
 
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
