@@ -38,7 +38,7 @@ def solve_scene(seed: int, planner: RescuePlanner) -> dict[str, Any]:
     policy = PlannerPolicy(planner)
     with closing(LunarRescueEnv()) as env:
         ended = run_episode(env, policy, scene)
-    plan, under, rescued = policy.plan, bool(ended["both_arms_under"]), bool(ended["is_success"])
+    plan, under, rescued = policy.plan, bool(ended["both_arms_under"]), bool(ended["success"])
     return {
         **{key: ended[key] for key in ("seed", "task", "posture", "terrain", "rocks", "mass", "steps", "failure")},
         "slope": scene.terrain.slope,
