@@ -200,28 +200,19 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
     return figure
 
 
-def success_by_posture(evaluations: dict[str, dict[str, dict[str, int]]]) -> Figure:
-    """Heat map of success over postures and tasks (rows) and methods (columns).
+def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
+    """Draw a heat map of success [%] over postures and tasks, a column an evaluation.
 
     Args:
-        evaluations: By column, what an evaluation has as ``by_posture_and_task``.
+        tested: Rows of each evaluation, by the title of its column.
     """
-    rates = pd.DataFrame(
-        {m: {p: c["successes"] / c["tests"] for p, c in counts.items()} for m, counts in evaluations.items()}
-    )
-    known = [f"{name} {task}" for name, posture in all_postures().items() for task in posture.tasks]
-    rates = rates.reindex([key for key in known if key in rates.index])
-    rates.index = rates.index.str.replace("_", " ")
+    rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
+    known = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
+    rates = 100 * rates.reindex([pair for pair in known if pair in rates.index])
+    rates.index = pd.Index([f"{posture} {task}".replace("_", " ") for posture, task in rates.index])
     figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(
-        100 * rates,
-        annot=True,
-        fmt=".0f",
-        vmin=0,
-        vmax=100,
-        cmap="viridis",
-        cbar_kws={"label": "success [%]"},
-        ax=axis,
-    )
-    axis.set(xlabel="", ylabel="")
+        rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
+        annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
+    )  # fmt: skip
     return figure

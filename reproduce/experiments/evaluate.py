@@ -18,7 +18,7 @@ from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.scenes.postures import all_postures
 from reproduce.experiments.methods import METHODS, Method, load_policy
 from reproduce.experiments.pool import map_scenes, scene_seeds
-from reproduce.experiments.rows import SceneRow, as_table, rows_path, summarise, write_rows
+from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
 from reproduce.hrl_dcs.ablation import ablated
 from reproduce.learning.policy import Policy
 from reproduce.learning.workers import easy_scene
@@ -57,8 +57,8 @@ def _unknown(name: str) -> str:
     )
 
 
-def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> SceneRow:
-    """Act out one rescue and return the scene's row."""
+def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
+    """Act out one rescue and return the scene's row, as ``rows.SceneRow``."""
     observation, _ = env.reset_flat(options={"scene": scene})
     if hasattr(policy, "prepare"):  # the planner knows the scene
         policy.prepare(scene)
@@ -90,7 +90,7 @@ def _prepare(where: str, ablation: str | None) -> None:
     _STATE["policy"] = find_policy(where, ablation)[1]
 
 
-def _test(seed: int, easy: bool) -> SceneRow:
+def _test(seed: int, easy: bool) -> dict[str, Any]:
     if hasattr(_STATE["policy"], "reseed"):
         _STATE["policy"].reseed(seed)
     return run_episode(_STATE["env"], _STATE["policy"], easy_scene(seed) if easy else sample_scene(seed))
@@ -104,7 +104,7 @@ def rescue_scenes(
     quiet: bool = False,
     ablation: str | None = None,
     easy: bool = False,
-) -> list[SceneRow]:
+) -> list[dict[str, Any]]:
     """Test a policy and return one row a scene, in the order of seeds.
 
     Raises:

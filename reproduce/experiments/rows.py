@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -55,7 +55,7 @@ def _consistent(row: Mapping[str, Any]) -> Mapping[str, Any]:
 _ROWS = TypeAdapter(list[Annotated[SceneRow, AfterValidator(_consistent)]])
 
 
-def as_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+def as_table(rows: pd.DataFrame | list[dict[str, Any]]) -> pd.DataFrame:
     """Return rows as a table with the columns of ``SceneRow``, in their order."""
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     return table.astype({"failure": object, "nearest_mark": float})
