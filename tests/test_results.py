@@ -15,7 +15,7 @@ import pytest
 
 from lunar_rescue.scenes.splits import SPLITS, TRAIN, split_of
 from reproduce.analysis import reward_forms as arithmetic
-from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
+from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims
 from reproduce.analysis.intervals import mean_interval, paired_difference
 from reproduce.analysis.runs import reference_runs
 from reproduce.analysis.settings import settings_table
@@ -29,6 +29,7 @@ from reproduce.analysis.tables import (
     table1,
     write_tables,
 )
+from reproduce.analysis.trainings import final_return, steps_to_converge
 from reproduce.experiments.rows import wilson
 from reproduce.learning.splits import train_seed
 from reproduce.report.notebook import fill_in, mark_mathematics

@@ -92,7 +92,7 @@ def failed_and_done(python: Path, tmp_path_factory: pytest.TempPathFactory) -> t
     (out / "reference" / "random" / "seed0").unlink()
     done = batch(python, out)
     assert done.returncode == 0, done.stderr
-    assert "2 of 3 steps" in done.stdout and f"{out}/tables: done" in done.stdout
+    assert "3 of 4 steps" in done.stdout and f"{out}/tables: done" in done.stdout
     return failed.stderr, out
 
 

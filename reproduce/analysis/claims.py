@@ -26,18 +26,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.stats import ttest_ind
 
 from lunar_rescue.scenes.postures import postures
-from reproduce.analysis.intervals import mean_interval, paired_difference, same_scenes
-from reproduce.analysis.runs import Run, reference_runs
+from reproduce.analysis.intervals import paired_difference, same_scenes
+from reproduce.analysis.trainings import MARGIN, Pool, percent, read_pools
 from reproduce.experiments.rows import CONFIDENCE, wilson
 from reproduce.storage.files import write_json
 from reproduce.storage.paths import RESULTS
@@ -48,9 +45,6 @@ ENOUGH_TESTS = 1000  # as in the paper; 50 cannot separate 98.6 % from 91.8 %
 ENOUGH_STEPS = 5_000_000  # our budget; the paper allows 700 million, stops earlier and does not say where
 SERVED = 0.9  # what every posture must reach; the paper gives no figure
 UNSOLVED = 0.05  # the paper gives SAC no figure at all
-CONVERGED = 0.9  # share of the way up
-SMOOTHING = 20  # updates in the mean whose way up is followed
-MARGIN = 0.05  # of the larger: what returns or steps must differ by
 PAPER_SUCCESS = 0.986  # Table 1
 PAPER_SECONDS = 0.652  # a test, section 4.3
 
@@ -84,70 +78,6 @@ class Claim:
     env_steps: int = 0
     verdict: str = "inconclusive"
     evidence: str = ""
-
-
-@dataclass(frozen=True)
-class Pool:
-    """The evaluated trainings of a method together."""
-
-    method: str
-    runs: tuple[Run, ...]
-
-    @cached_property
-    def rows(self) -> pd.DataFrame:
-        """Return the tests of all trainings, with the column ``training`` beside those of ``SceneRow``."""
-        tables = {run.seed: run.rows() for run in self.runs}
-        return pd.concat(tables, names=["training"]).reset_index("training")
-
-    @property
-    def rates(self) -> pd.Series[float]:
-        """Return the success rate of each training."""
-        return self.rows.groupby("training")["success"].mean()
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Return Wilson's interval of all tests; for several trainings Student's of their rates where it is wider."""
-        low, high = wilson(int(self.rows["success"].sum()), len(self.rows))
-        if len(self.runs) > 1:
-            _, lower, higher = mean_interval(self.rates)
-            low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
-        return low, high
-
-    @property
-    def env_steps(self) -> int:
-        """Return the environment steps of the shortest training."""
-        return min(run.env_steps for run in self.runs)
-
-    @property
-    def enough(self) -> bool:
-        """Return whether trainings, their steps and their tests reach the bars."""
-        trained = len(self.runs) >= ENOUGH_SEEDS and self.env_steps >= ENOUGH_STEPS
-        return trained and len(self.rows) >= ENOUGH_TESTS * len(self.runs)
-
-    @property
-    def returns(self) -> list[float]:
-        """Return each training's return in the end; trainings without a curve are left out."""
-        return [final_return(curve) for run in self.runs if (curve := run.curve()) is not None]
-
-    @property
-    def steps(self) -> list[float | None]:
-        """Return each training's environment steps to converge, None where it has not."""
-        return [steps_to_converge(curve) for run in self.runs if (curve := run.curve()) is not None]
-
-    def words(self) -> str:
-        """Return the success rate with its interval in words."""
-        return f"{self.method} {_percent(self.rows['success'].mean(), self.interval)}"
-
-
-def _percent(rate: float, interval: tuple[float, float]) -> str:
-    low, high = interval
-    return f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-
-
-def read_pools(results: Path) -> dict[str, Pool]:
-    """Return the evaluated runs of each method."""
-    runs = (run for run in reference_runs(results) if run.evaluation)
-    return {method: Pool(method, tuple(group)) for method, group in groupby(runs, key=lambda run: run.method)}
 
 
 @dataclass(frozen=True)
@@ -222,20 +152,9 @@ def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
     return f"{pool.method} {told or 'no curve'}"
 
 
-def final_return(curve: pd.DataFrame) -> float:
-    """Return the mean return over the last twentieth of the updates."""
-    return float(curve["return_high"].tail(max(1, len(curve) // 20)).mean())
-
-
-def steps_to_converge(curve: pd.DataFrame) -> float | None:
-    """Return environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
-    smooth = curve["return_high"].rolling(SMOOTHING, min_periods=1).mean()
-    first, last = float(smooth.iloc[0]), final_return(curve)
-    spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
-    if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
-        return None
-    reached = curve["env_steps"][smooth - first >= CONVERGED * (last - first)]
-    return float(reached.iloc[0] if len(reached) else curve["env_steps"].iloc[-1])
+def _enough(pool: Pool) -> bool:
+    trained = len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS
+    return trained and len(pool.rows) >= ENOUGH_TESTS * len(pool.runs)
 
 
 def judge(claim: Claim, parts: list[Part], *pools: Pool, enough: bool | None = None, **figures: Any) -> Claim:
@@ -245,14 +164,14 @@ def judge(claim: Claim, parts: list[Part], *pools: Pool, enough: bool | None = N
         claim: Without one.
         parts: What it says.
         *pools: Trainings that it rests on; its figure is the success of the first.
-        enough: Whether they reach the bars; without it, ``Pool.enough`` of each.
+        enough: Whether they reach the bars; without it, each one's seeds, steps and tests tell.
         **figures: Fields of the claim that are something else.
     """
     ours, holds = pools[0], [part.holds for part in parts]
     rule = "contradicted" if False in holds else ("inconclusive" if None in holds else "verified")
     names = {True: "holds", False: "fails", None: "open"}
     evidence = "; ".join(f"{part.words} ({names[part.holds]})" for part in parts)
-    enough = all(pool.enough for pool in pools) if enough is None else enough
+    enough = all(map(_enough, pools)) if enough is None else enough
     if not enough:
         evidence += (
             f"; by the rule alone {rule}; {len(ours.runs)} seed(s) of {ours.env_steps:,} steps, {len(ours.rows)} "
@@ -291,7 +210,7 @@ def _any_posture(claim: Claim, pool: Pool) -> Claim:
     name = min(counts.index, key=lambda posture: (counts["mean"][posture], posture))
     rate, (low, high) = float(counts["mean"][name]), wilson(int(counts["sum"][name]), int(counts["size"][name]))
     served = low >= SERVED and set(counts.index) == set(postures())
-    part = Part(f"weakest posture {name}: {_percent(rate, (low, high))}", _lies(above=served, below=high < SERVED))
+    part = Part(f"weakest posture {name}: {percent(rate, (low, high))}", _lies(above=served, below=high < SERVED))
     return judge(claim, [part], pool, measured=rate, low=low, high=high)
 
 
@@ -359,7 +278,7 @@ def write_claims(claims: list[Claim], path: Path | None = None) -> Path:
 
 
 def print_claims(claims: list[Claim]) -> None:
-    """Print a line a claim."""
+    """Print each claim in a line, with its verdict."""
     for c in claims:
         interval = "" if c.low is None else f" [{c.low:.3f}, {c.high:.3f}]"
         measured = "" if c.measured is None else f" {c.measured:.3f}{interval};"

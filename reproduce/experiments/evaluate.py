@@ -134,17 +134,16 @@ def evaluate(
         quiet: Whether to leave the progress bar out.
         ablation: What is taken out of the policy, see ``hrl_dcs.ablation``.
         easy: Whether the scenes are the easy ones.
-        json: Where the summary is written, with the scenes' rows beside it under the same name with ``.csv``.
+        json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
     """
     table = rows_path(json) if json else None
     for path in filter(None, (json, table)):
         check_writable(path)
-    method, _ = find_policy(where, ablation)
     begun = time.monotonic()
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
     seconds = time.monotonic() - begun
     summary = {
-        "method": method.name,
+        "method": find_policy(where)[0].name,
         **({} if ablation is None else {"ablation": ablation}),
         **({"scenes": "easy"} if easy else {}),
         **summarise(rows),
