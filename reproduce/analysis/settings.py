@@ -1,4 +1,4 @@
-"""Every setting of every method that learns, and where it comes from, in one table; read from the configuration."""
+"""Tell every setting of every method that learns and where it comes from, read from the configuration."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import ast
 import inspect
 import textwrap
 from dataclasses import fields
-from typing import Any
 
 import pandas as pd
 
 from reproduce.experiments.methods import METHODS
-from reproduce.learning.config import PRESETS, TrainingConfig
+from reproduce.learning.config import PRESETS
 
 #: What parts of a configuration are called in tables.
 TITLES = {
@@ -25,7 +24,7 @@ TITLES = {
 
 
 def notes(kind: type) -> dict[str, str]:
-    """The sentences under the fields of a configuration class, by field."""
+    """Return the sentences under the fields of a configuration class, by field."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(tree, ast.ClassDef)
     found = {}
@@ -37,25 +36,22 @@ def notes(kind: type) -> dict[str, str]:
 
 
 def settings_table(preset: str) -> pd.DataFrame:
-    """A row a setting, a column a method; empty where a method does not have it.
+    """Return a row a setting, a column a method; empty where a method does not have it.
 
     Args:
         preset: Name of a preset.
     """
     learning = {name: method.config(preset) for name, method in METHODS.items() if method.train is not None}
-    rows: list[dict[str, Any]] = []
-    about = notes(TrainingConfig)
-    for field in fields(TrainingConfig):
-        if field.name not in TITLES:
-            values = {name: getattr(config, field.name) for name, config in learning.items()}
-            rows.append({"of": "training", "setting": field.name, **values, "where from": about[field.name]})
-    for part, title in TITLES.items():
-        kind = type(getattr(PRESETS[preset], part))
+    whole, rows = PRESETS[preset], []
+    for part, title in {"": "training", **TITLES}.items():
+        kind = type(getattr(whole, part) if part else whole)
         about = notes(kind)
-        for field in fields(kind):
+        for name in (field.name for field in fields(kind) if field.name not in TITLES):
             values = {
-                name: getattr(getattr(config, part), field.name) if part in METHODS[name].parts else ""
-                for name, config in learning.items()
+                method: getattr(getattr(config, part) if part else config, name)
+                if not part or part in METHODS[method].parts
+                else ""
+                for method, config in learning.items()
             }
-            rows.append({"of": title, "setting": field.name, **values, "where from": about[field.name]})
+            rows.append({"of": title, "setting": name, **values, "where from": about[name]})
     return pd.DataFrame(rows).set_index(["of", "setting"])
