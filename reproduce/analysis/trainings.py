@@ -14,7 +14,7 @@ from reproduce.analysis.runs import Run, reference_runs
 from reproduce.experiments.rows import wilson
 
 CONVERGED = 0.9  # share of the way up
-SMOOTHING = 20  # updates in the mean whose way up is followed
+SMOOTHING = 20  # updates in a running mean
 MARGIN = 0.05  # of the larger: what returns or steps must differ by
 
 
@@ -77,6 +77,11 @@ def read_pools(results: Path) -> dict[str, Pool]:
     return {method: Pool(method, tuple(group)) for method, group in groupby(runs, key=lambda run: run.method)}
 
 
+def smooth(values: pd.Series[float]) -> pd.Series[float]:
+    """Return the running mean over the last ``SMOOTHING`` updates."""
+    return values.rolling(SMOOTHING, min_periods=1).mean()
+
+
 def final_return(curve: pd.DataFrame) -> float:
     """Return the mean return over the last twentieth of the updates."""
     return float(curve["return_high"].tail(max(1, len(curve) // 20)).mean())
@@ -84,10 +89,10 @@ def final_return(curve: pd.DataFrame) -> float:
 
 def steps_to_converge(curve: pd.DataFrame) -> float | None:
     """Return environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
-    smooth = curve["return_high"].rolling(SMOOTHING, min_periods=1).mean()
-    first, last = float(smooth.iloc[0]), final_return(curve)
+    smoothed = smooth(curve["return_high"])
+    first, last = float(smoothed.iloc[0]), final_return(curve)
     spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
     if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
         return None
-    reached = curve["env_steps"][smooth - first >= CONVERGED * (last - first)]
+    reached = curve["env_steps"][smoothed - first >= CONVERGED * (last - first)]
     return float(reached.iloc[0] if len(reached) else curve["env_steps"].iloc[-1])
