@@ -52,7 +52,7 @@ def grounds(count: int = 4, first_seed: int = 0) -> Figure:
 
 
 def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> NDArray[np.uint8]:
-    """Return F2 as a picture: targets, mark points and the distances that the rewards are made of, (height, width, 3)."""
+    """Return F2 as a picture, (height, width, 3): targets, mark points and the distances that rewards are made of."""
     camera = scene_camera(episode.scene, size)
     with closing(Studio()) as studio:
         return draw_overlay(studio.picture(episode, camera), episode, camera)

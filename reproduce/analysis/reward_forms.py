@@ -1,4 +1,4 @@
-"""Compute what the approach term rewards, in exact numbers: dwelling, finishing, wandering and giving up (READING of Eq. 2)."""
+"""Compute what the approach term rewards: dwelling, finishing, wandering and giving up (READING of Eq. 2)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def dwelling(form: ApproachForm, beta: float, gamma: float, max_steps: int) -> f
 
 
 def finishing(form: ApproachForm, beta: float, gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
-    """Compute the return of standing still and completing the task in step ``after``, with ``factor`` times Eq. 2's time bonus."""
+    """Compute the return of standing still and completing the task in step ``after``, its time bonus times a factor."""
     waiting = discounted(approach(1.0, 1.0, beta=beta, form=form), after, gamma)
     return waiting + gamma ** (after - 1) * factor * time_bonus(after, max_steps)
 
@@ -44,6 +44,6 @@ def dwelling_table(beta: float, gamma: float, max_steps: int, factor: float = 1.
 
 
 def largest_honest_beta(gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
-    """Return the largest beta at which, with the literal form, finishing in step ``after`` still beats dwelling to the limit."""
+    """Return the largest beta at which finishing in step ``after`` beats dwelling to the limit in the literal form."""
     lost = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
     return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / lost
