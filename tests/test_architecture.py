@@ -29,7 +29,7 @@ ORDER = {
     "lunar_rescue": (
         ("env",),
         ("pictures",),
-        ("episode", "observation", "rewards", "tasks"),
+        ("contacts", "episode", "observation", "rewards", "tasks"),
         ("physics",),
         ("scenes",),
         ("data",),

@@ -308,7 +308,8 @@ def test_configuration_survives_json_and_refuses_strangers() -> None:
 
 # -- notebooks ---------------------------------------------------------------------------------------------------------
 def _notebook(folder: Path, source: str, parameters: str = "steps = 3\nname = 'a'\nrate = 0.5") -> Path:
-    document = nbformat.v4.new_notebook()
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    document = nbformat.v4.new_notebook(metadata={"kernelspec": kernel})
     first = nbformat.v4.new_code_cell(parameters)
     first.metadata["tags"] = ["parameters"]
     document.cells = [first, nbformat.v4.new_code_cell(source), nbformat.v4.new_code_cell("print('last')")]

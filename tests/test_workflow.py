@@ -179,7 +179,7 @@ def test_bad_options_are_named(change: Callable[[], None], word: str, tmp_path: 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"file/out.*cannot write"):
+    with pytest.raises(UserError, match=r"file/out.*cannot be written"):
         run_batch(plan("random"), tmp_path / "file" / "out", echo=_quiet)
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import NDArray
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from lunar_rescue import Scene
@@ -29,8 +28,8 @@ SCRIPT, VARIANTS = DATA / "script.json", DATA / "variants.json"
 LONGEST_WAIT = 60  # steps at a way-point that is drawn
 ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
-Metres = Annotated[float, Interval(ge=-2.0, le=2.0)]
-Degrees = Annotated[float, Interval(ge=-90.0, le=90.0)]
+Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
+Degrees = Annotated[float, Field(ge=-90.0, le=90.0)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -51,7 +50,7 @@ class WayPoint:
     up: Metres
     slope: Degrees
     waist: Degrees
-    patience: Annotated[int, Interval(ge=1, le=120)]
+    patience: Annotated[int, Field(ge=1, le=120)]
 
     def joints(self, targets: Array, before: Array) -> Array:
         """Solve the joint angles that bring both arms to this way-point.

@@ -60,7 +60,10 @@ def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[N
 
 def _defaults(path: Path) -> dict[str, Any]:
     """Read names and values from the cell tagged ``parameters``."""
-    parameters = papermill.inspect_notebook(str(path))
+    try:
+        parameters = papermill.inspect_notebook(str(path))
+    except ValueError as error:  # no JSON, no notebook, or one of no language
+        raise UserError(f"{path}: not a notebook of Python: {error}") from None
     if not parameters:
         raise UserError(f"{path}: expected a cell tagged 'parameters' with NAME = VALUE in it")
     return {name: ast.literal_eval(parameter["default"]) for name, parameter in parameters.items()}
@@ -86,12 +89,12 @@ def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, An
     Raises:
         UserError: On an unknown preset, a name that no chosen notebook has, or a value of a wrong type or range.
     """
-    check_value("preset", preset)
-    known = sorted({name for notebook in notebooks for name in notebook.defaults})
+    check_value("preset", preset, preset)
+    known = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
     for name, value in given.items():
         if name not in known:
-            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(known)}")
-        check_value(name, value)
+            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(known))}")
+        check_value(name, value, known[name])
     everything = {"preset": preset, **given}
     return {n.name: {name: value for name, value in everything.items() if name in n.defaults} for n in notebooks}
 

@@ -28,16 +28,17 @@ PARAMETERS: dict[str, TypeAdapter[Any]] = {
 _CHECKED = "_parameters_checked"
 
 
-def check_value(name: str, value: Any) -> None:
-    """Refuse a value of the wrong type or out of range.
+def check_value(name: str, value: Any, default: Any) -> None:
+    """Refuse a value of the wrong type or out of range; what ``PARAMETERS`` does not have has its default's type.
 
     Raises:
         UserError: Naming the parameter, what was expected and what came.
     """
     if name == "preset" and value not in PRESETS:
         raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {value!r}")
+    adapter = PARAMETERS.get(name) or TypeAdapter(type(default), config=STRICT)
     try:
-        PARAMETERS[name].validate_python(value)
+        adapter.validate_python(value)
     except ValidationError as error:
         problem = error.errors()[0]["msg"]
         raise UserError(f"{name}: {problem[0].lower()}{problem[1:]}; got {value!r}") from None
@@ -54,7 +55,7 @@ def check(namespace: dict[str, Any], *names: str) -> None:
         UserError: On a value out of range, or a name that the notebook does not have.
     """
     for name in names:
-        check_value(name, namespace[name])
+        check_value(name, namespace[name], namespace[name])
     # Later the notebook has names of its own, and whoever runs this cell again gives no new parameters.
     if not namespace.get(_CHECKED):
         unknown = sorted(set(map(str, filter(_is_parameter(namespace), namespace))) - set(names))

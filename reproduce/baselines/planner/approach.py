@@ -13,8 +13,8 @@ from itertools import islice
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import NDArray
+from pydantic import Field
 from pydantic.dataclasses import dataclass as strict_dataclass
 
 from lunar_rescue import LunarRescueEnv
@@ -64,7 +64,7 @@ class Stance:
     """
 
     under: Degrees
-    lean: Annotated[float, Interval(ge=-200.0, le=200.0)]
+    lean: Annotated[float, Field(ge=-200.0, le=200.0)]
 
 
 @strict_dataclass(frozen=True, config=STRICT)
