@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,7 @@ import pytest
 from reproduce.experiments import evaluations
 from reproduce.experiments.evaluate import evaluate, find_policy
 from reproduce.experiments.evaluations import EVALUATIONS, evaluate_run, evaluations_of
-from reproduce.experiments.rows import as_table, read_rows, summarise, wilson, write_rows
+from reproduce.experiments.rows import as_table, read_rows, rows_path, summarise, wilson, write_rows
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 
@@ -116,3 +119,25 @@ def test_a_run_gets_the_evaluations_of_its_method(tmp_path: Path, monkeypatch: p
 def test_an_unknown_policy_is_answered_with_what_there_is() -> None:
     with pytest.raises(UserError, match=r"no such run folder.*scripted, planner, random; did you mean planner\?"):
         find_policy("planer")
+
+
+def test_rows_lie_beside_the_summary_where_something_can() -> None:
+    assert rows_path(Path("a/evaluation.json")) == Path("a/evaluation.csv")
+    assert rows_path(Path("/dev/stdout")) is None and rows_path(Path("/dev/null")) is None
+    with pytest.raises(UserError, match=r"x\.csv: expected a name for the summary"):
+        rows_path(Path("x.csv"))
+
+
+@pytest.mark.process
+def test_one_command_evaluates_every_reference_run_and_writes_the_tables(tmp_path: Path) -> None:
+    (tmp_path / "reference" / "random" / "seed0").mkdir(parents=True)
+    environment = {**os.environ, "REPRODUCE_RESULTS": str(tmp_path)}
+    command = [sys.executable, "-m", "reproduce", "evaluate-reference", "--tests", "2", "--few", "1"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (tmp_path / "reference" / "random" / "seed0").iterdir()} == {
+        "evaluation.json", "evaluation.csv", "heldout.json", "heldout.csv",
+    }  # fmt: skip
+    assert pd.read_csv(tmp_path / "table1.csv")["tests"].tolist() == [2]
+    assert list(pd.read_csv(tmp_path / "tables" / "success.csv")["evaluation"]) == ["evaluation", "heldout"]
+    assert len(read_json(tmp_path / "claims.json", "claims")) == 8
