@@ -60,12 +60,25 @@ def evaluate(
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
     from reproduce.experiments.evaluate import evaluate as test
-    from reproduce.storage.files import write_json
 
-    result = test(run, tests, first_seed, ablation=ablation, easy=easy)
-    _print_evaluation(result)
-    if json:
-        write_json(json, result)
+    _print_evaluation(test(run, tests, first_seed, ablation=ablation, easy=easy, json=json))
+
+
+@app.command("evaluate-reference")
+def evaluate_reference(
+    tests: console.Tests = 1000,
+    few: Annotated[int, typer.Option(min=1, help="scenes of a two-layer policy's ablations")] = 200,
+) -> None:
+    """Make every evaluation of every reference run, then Table 1, the tables and the claims."""
+    from reproduce.analysis.claims import compute_claims, write_claims
+    from reproduce.analysis.tables import write_table1, write_tables
+    from reproduce.experiments.evaluations import evaluate_run
+    from reproduce.storage.paths import REFERENCE, RESULTS
+
+    for folder in sorted((RESULTS / REFERENCE).glob("*/seed*")):
+        evaluate_run(folder, tests, few, tell=typer.echo)
+    for path in (write_table1(), *write_tables(), write_claims(compute_claims())):
+        typer.echo(f"{path}: written")
 
 
 def _print_evaluation(result: dict[str, Any]) -> None:
@@ -74,9 +87,9 @@ def _print_evaluation(result: dict[str, Any]) -> None:
         f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]"
     )
     typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
-    for group in ("task", "terrain", "mass_class", "posture"):
+    for group in ("task", "posture"):
         for name, counts in result[f"by_{group}"].items():
-            typer.echo(f"  {group.replace('_', ' ')} {name}: {counts['successes']} of {counts['tests']}")
+            typer.echo(f"  {group} {name}: {counts['successes']} of {counts['tests']}")
     for word, count in result["failures"].items():
         typer.echo(f"  failed by {word}: {count}")
 
@@ -98,7 +111,7 @@ def replay(
     from reproduce.report.replay import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
-    ended = "rescued" if row["is_success"] else f"failed by {row['failure']}"
+    ended = "rescued" if row["success"] else f"failed by {row['failure']}"
     typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
 
 
