@@ -3,7 +3,6 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-REFERENCE := results/reference
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
@@ -64,17 +63,8 @@ notebooks: $(STAMP)  ## run the notebooks with the laptop preset
 reference: $(STAMP)  ## train the HRL-DCS reference run again (about an hour) into results/scratch
 	$(BIN)/reproduce train hrl_dcs --preset laptop --seed 0 --out results/scratch/hrl_dcs
 
-evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each and rewrite table 1 and claims
-	for run in $(wildcard $(REFERENCE)/*/seed*); do \
-		if [ -f $$run/policy.json ]; then target=$$run; else target=$$(basename $$(dirname $$run)); fi; \
-		$(BIN)/reproduce evaluate $$target --tests 1000 --json $$run/evaluation.json || exit 1; \
-		$(BIN)/reproduce evaluate $$target --tests 1000 --first-seed 2000000 --json $$run/heldout.json || exit 1; done
-	for run in $(dir $(wildcard $(REFERENCE)/hrl_dcs/seed*/policy.json)); do \
-		$(BIN)/reproduce evaluate $$run --tests 200 --json $$run/both_layers.json || exit 1; \
-		for layer in fixed_target anchors_alone untrained_lln; do \
-			$(BIN)/reproduce evaluate $$run --tests 200 --ablation $$layer --json $$run/$$layer.json || exit 1; done; done
-	$(BIN)/reproduce table1
-	$(BIN)/reproduce claims
+evaluate-reference: $(STAMP)  ## test the reference policies on 1000 scenes each and rewrite tables and claims
+	$(BIN)/reproduce evaluate-reference
 	$(BIN)/python -m reproduce.report.pages
 
 bench: $(STAMP)  ## measure speed

@@ -23,9 +23,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
+from reproduce.hrl_dcs.config import HierarchicalConfig, HierarchyConfig
 from reproduce.hrl_dcs.goals import PlainGoals
 from reproduce.hrl_dcs.training import TwoLayerTraining
-from reproduce.learning.config import PRESETS, HierarchyConfig, LearnerConfig, TrainingConfig
+from reproduce.learning.config import LearnerConfig
 from reproduce.learning.training import start_collecting
 
 ENVS = 8
@@ -47,7 +48,7 @@ def make_environments() -> DummyVecEnv:
     return DummyVecEnv([one] * ENVS)
 
 
-def configuration(steps: int) -> TrainingConfig:
+def configuration(steps: int) -> HierarchicalConfig:
     """Return a configuration of small networks and short rollouts for ``steps`` environment steps."""
     low = LearnerConfig(
         n_steps=200,
@@ -61,7 +62,7 @@ def configuration(steps: int) -> TrainingConfig:
     )
     high = replace(low, batch_size=80, sequence_length=16)
     hierarchy = HierarchyConfig(interval=5, sgn_every=1)
-    return replace(PRESETS["smoke"], steps=steps, n_envs=ENVS, low=low, high=high, hierarchy=hierarchy)
+    return HierarchicalConfig(steps, ENVS, low=low, high=high, hierarchy=hierarchy)
 
 
 def two_layers(steps: int, seed: int = 0) -> list[float]:

@@ -1,11 +1,20 @@
 from __future__ import annotations
 
+import itertools
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import pytest
 
-from lunar_rescue import LunarRescueEnv
+from lunar_rescue import ENVIRONMENT_VERSION, LunarRescueEnv
+from lunar_rescue.scenes.postures import all_postures, postures
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.rows import as_table, summarise, write_rows
+from reproduce.storage.files import write_json
+from reproduce.storage.records import to_dict
 
 # A shell starts what runs in the background deaf to Ctrl-C, and processes that tests start would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -17,3 +26,48 @@ def env() -> Iterator[LunarRescueEnv]:
     made = LunarRescueEnv()
     yield made
     made.close()
+
+
+RunFolder = Callable[..., Path]
+
+
+def scene_rows(outcomes: Sequence[bool], first_seed: int = 0, **columns: Any) -> pd.DataFrame:
+    """Return rows of an evaluation: outcomes by scene, postures in turn, and columns that are something else."""
+    rows = pd.DataFrame({"seed": range(first_seed, first_seed + len(outcomes)), "success": list(outcomes)})
+    rows["posture"] = list(itertools.islice(itertools.cycle(postures()), len(rows)))
+    rows = rows.assign(task="turn_over", mass=200.5, terrain="rough", both_arms_under=True, steps=40, nearest_mark=None)
+    rows = rows.assign(**{"return": 1.5, **columns})
+    rows["attitude"] = [all_postures()[name].attitude for name in rows["posture"]]
+    rows["rocks"] = 2 * rows["nearest_mark"].notna()
+    rows["failure"] = [None if success else "timeout" for success in rows["success"]]
+    return as_table(rows)
+
+
+@pytest.fixture(scope="session")
+def run_folder() -> RunFolder:
+    """Make a reference run in a results folder, or add an evaluation to it.
+
+    Called with results folder, method, training seed and outcomes by scene; ``name`` is that of the evaluation,
+    ``origin`` and ``summary`` change what ``run.json`` and the summary say, other names are columns of the rows.
+    """
+
+    def make(
+        results: Path, method: str, seed: int = 0, outcomes: Sequence[bool] | None = None, *, name: str = "evaluation",
+        origin: dict[str, Any] | None = None, summary: dict[str, Any] | None = None, **columns: Any,
+    ) -> Path:  # fmt: skip
+        folder = results / "reference" / method / f"seed{seed}"
+        told = {"command": "reproduce", "environment_version": ENVIRONMENT_VERSION}
+        if METHODS[method].train is not None and not (folder / "run.json").exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            write_json(folder / "config.json", to_dict(METHODS[method].config("smoke")))
+            (folder / "policy.safetensors").write_text(f"weights of {method} {seed}")
+            training = {**told, "method": method, "seed": seed, "steps": 5_000_000, "seconds": 120.0}
+            write_json(folder / "run.json", training | (origin or {}))
+        if outcomes is not None:
+            rows = scene_rows(outcomes, **columns)
+            write_rows(folder / f"{name}.csv", rows)
+            tested = {"method": method, **summarise(rows), "seconds": 1.0, "seconds_per_test": 0.1, "origin": told}
+            write_json(folder / f"{name}.json", tested | (summary or {}))
+        return folder
+
+    return make

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 from reproduce.__main__ import main
-from reproduce.learning.config import PRESETS
+from reproduce.experiments.presets import PRESETS
 
 
 def train(folder: str, *options: str) -> None:
     """Call the command as a user would, with a smaller preset."""
     smoke = PRESETS["smoke"]
-    low = replace(smoke.low, batch_size=128, n_epochs=2)
-    PRESETS["smoke"] = replace(smoke, steps=10 * 4 * 64, n_envs=4, checkpoint_every=2, low=low)
+    smoke |= {"steps": 10 * 4 * 64, "n_envs": 4, "checkpoint_every": 2, "low.batch_size": 128, "low.n_epochs": 2}
     sys.argv = ["reproduce", "train", "hrl_dcs", "--preset", "smoke", "--seed", "7", "--out", folder, *options]
     main()
 

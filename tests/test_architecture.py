@@ -16,6 +16,7 @@ from reproduce.storage.paths import ROOT
 ORDER = {
     "reproduce": (
         ("__main__",),
+        ("console",),
         ("report",),
         ("bench",),
         ("analysis",),

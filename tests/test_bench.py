@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from gymnasium import spaces
 from reproduce.bench import speed as bench
 from reproduce.bench import training
 from reproduce.bench.speed import PEER, Tally, environment_figures, measure
-from reproduce.learning.config import PRESETS
+from reproduce.experiments.presets import PRESETS
 from reproduce.storage.errors import UserError
 
 
@@ -75,10 +74,8 @@ def test_parts_run_alone_or_together(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_training_part_measures_ours_beside_stock_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    smoke = PRESETS["smoke"]
-    low = replace(smoke.low, n_steps=24, batch_size=32, n_epochs=1)
-    small = replace(smoke, steps=10_000, n_envs=2, low=low, high=replace(smoke.high, n_epochs=1))
-    monkeypatch.setitem(training.PRESETS, "laptop", small)
+    small = {"steps": 10_000, "n_envs": 2, "low.n_steps": 24, "low.batch_size": 32, "low.n_epochs": 1}
+    monkeypatch.setitem(PRESETS, "laptop", {**PRESETS["smoke"], **small, "high.n_epochs": 1})
     monkeypatch.setattr(training, "ROUNDS", 1)
     monkeypatch.setattr(training, "BATCHES", (24, training.BATCH))
     measured = training.measure_training(1, 1)

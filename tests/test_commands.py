@@ -25,11 +25,12 @@ from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-fou
 
 from reproduce.experiments.evaluate import evaluate, rescue_scenes
 from reproduce.experiments.methods import METHODS, load_policy
+from reproduce.experiments.presets import PRESETS
 from reproduce.experiments.train import train
-from reproduce.learning.config import PRESETS, from_dict, to_dict
 from reproduce.report import build_report
 from reproduce.report.notebooks import check_parameters, find_notebooks, is_complete, parse_assignments, run_notebooks
 from reproduce.storage.errors import RunFailedError, UserError
+from reproduce.storage.records import from_dict, to_dict
 
 STEPS = 1024
 
@@ -298,12 +299,23 @@ def test_a_folder_with_another_program_s_configuration_is_left_alone(tmp_path: P
 
 
 def test_configuration_survives_json_and_refuses_strangers() -> None:
-    for preset in PRESETS.values():
-        assert from_dict(json.loads(json.dumps(to_dict(preset)))) == preset
-    raw = to_dict(PRESETS["smoke"])
-    raw["low"]["learning_rat"] = 1.0
-    with pytest.raises(ValueError, match="learning_rat"):
-        from_dict(raw)
+    for method in METHODS.values():
+        for preset in PRESETS:
+            config = method.config(preset)
+            assert from_dict(method.kind, json.loads(json.dumps(to_dict(config))), "config.") == config
+    kind = METHODS["hrl_dcs"].kind
+    raw = to_dict(METHODS["hrl_dcs"].config("smoke"))
+    for part, field, value, words in (
+        ("low", "learning_rat", 1.0, "config.low.learning_rat: unknown field"),
+        ("low", "gamma", 1.5, "config.low.gamma: expected less than or equal to 1, got 1.5"),
+        ("low", "n_steps", True, "config.low.n_steps: expected a valid integer, got True"),
+        ("anchors", "stride", "far", "config.anchors.stride: expected a valid number, got 'far'"),
+        ("anchors", "patience", None, "config.anchors.patience: missing"),
+    ):
+        changed = {name: value for name, value in {**raw[part], field: value}.items() if value is not None}
+        with pytest.raises(ValueError) as error:
+            from_dict(kind, {**raw, part: changed}, "config.")
+        assert str(error.value) == words
 
 
 # -- notebooks ---------------------------------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from gymnasium import spaces
 from lunar_rescue.observation import SLICES
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.scene import MASS_RANGE
+from reproduce.experiments.methods import METHODS
 from reproduce.hrl_dcs.goals import PlainGoals
-from reproduce.learning.config import PRESETS
 from reproduce.learning.training import episode_summary, make_environments
 from reproduce.learning.workers import EASY_POSTURE, EnvOptions, _options, easy_scene
 
@@ -22,7 +22,7 @@ def test_easy_scenes_have_one_posture_no_rocks_and_the_lightest_astronaut() -> N
     scenes = [easy_scene(seed) for seed in range(3)]
     assert {(s.posture, s.mass, s.rocks) for s in scenes} == {(EASY_POSTURE, MASS_RANGE[0], ())}
     assert len({s.base_x for s in scenes}) == 3  # robot and astronaut still stand anywhere
-    config = replace(PRESETS["smoke"], n_envs=2, scenes="easy")
+    config = replace(METHODS["hrl_dcs"].config("smoke"), n_envs=2, scenes="easy")
     venv = make_environments(config, 0)
     try:
         assert not venv.reset()[:, SLICES["P_E"]].any()  # no obstacle is seen
@@ -44,7 +44,7 @@ def test_lying_postures_are_drawn_more_often_and_rates_are_weighed_back() -> Non
     assert episode_summary(episodes)["success"] == pytest.approx(0.25)
     assert np.isnan(episode_summary([])["success"])
     with pytest.raises(ValueError, match="lying_weight"):
-        replace(PRESETS["smoke"], lying_weight=0)
+        replace(METHODS["hrl_dcs"].config("smoke"), lying_weight=0)
 
 
 def test_plain_goals_measure_from_where_the_state_is() -> None:

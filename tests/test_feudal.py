@@ -29,11 +29,12 @@ from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.levels import DilatedLSTM
 from reproduce.baselines.feudal.network import FunNetwork, FunSpec
-from reproduce.baselines.feudal.policy import LEVEL, FunPolicy, load_network
+from reproduce.baselines.feudal.policy import LEVEL, FunPolicy, load_feudal_policy
 from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout
 from reproduce.baselines.feudal.signals import directions
 from reproduce.baselines.feudal.training import FunTraining
-from reproduce.learning.config import PRESETS
+from reproduce.experiments.methods import METHODS
+from reproduce.learning.config import PolicyConfig
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.sequences import TARGETS, Minibatch, minibatches
 from reproduce.learning.training import start_collecting
@@ -436,13 +437,13 @@ def test_a_resumed_training_repeats_bit_for_bit(tmp_path: Path) -> None:
 def saved(folder: Path) -> FunNetwork:
     network = FunSpec(SIZE, JOINTS, 16, D, 3, C).build()
     specs: Any = {LEVEL: (network.spec, network)}
-    save_policy(folder, "fun", specs, {})
+    save_policy(folder, "fun", specs, PolicyConfig(mirrored=True))
     return network
 
 
 def test_a_saved_policy_acts_the_same(tmp_path: Path) -> None:
     network = saved(tmp_path)
-    first, second = FunPolicy(network), FunPolicy(load_network(tmp_path, (SIZE, JOINTS)))
+    first, second = FunPolicy(network), load_feudal_policy(tmp_path)
     rng = np.random.default_rng(0)
     for t in range(2 * C + 3):
         seen = rng.normal(size=(2, SIZE)).astype(np.float32)
@@ -490,7 +491,7 @@ def test_damaged_run_folders_are_refused_by_name(how: str, word: str, tmp_path: 
     save_file(tensors, weights)
     path.write_text(json.dumps(raw))
     with pytest.raises(UserError, match=word):
-        load_network(tmp_path, (SIZE, JOINTS))
+        load_feudal_policy(tmp_path)
 
 
 def test_predict_keeps_a_memory_as_sb3_s_recurrent_policies_do() -> None:
@@ -517,7 +518,7 @@ def test_what_makes_no_sense_is_refused() -> None:
 
 
 def test_it_trains_on_the_rescue() -> None:
-    smoke = PRESETS["smoke"]
+    smoke = METHODS["fun"].config("smoke")
     low = replace(smoke.low, n_steps=16, batch_size=16, n_epochs=1, hidden_units=16)
     training = FunTraining(replace(smoke, n_envs=2, low=low, fun=SMALL), 0)
     try:

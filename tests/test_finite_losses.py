@@ -14,15 +14,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from reproduce.baselines.config import SacConfig
 from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
 from reproduce.baselines.sac import make_sac
-from reproduce.hrl_dcs.training import make_learner
-from reproduce.learning.config import PRESETS, LearnerConfig
-from reproduce.learning.training import CollectedTraining, start_collecting
+from reproduce.experiments.methods import METHODS
+from reproduce.learning.config import LearnerConfig
+from reproduce.learning.training import Training, make_learner, start_collecting
 from reproduce.storage.errors import RunFailedError
 
-LOW: LearnerConfig = replace(PRESETS["smoke"].low, hidden_units=8, n_epochs=2, sequence_length=32)
+LOW: LearnerConfig = replace(METHODS["hrl_dcs"].config("smoke").low, hidden_units=8, n_epochs=2, sequence_length=32)
 FUN = FunConfig(horizon=3, goal_size=8, embedding_size=2)
 
 
@@ -87,7 +88,7 @@ def test_a_loss_that_is_not_finite_stops_by_name_before_weights_change(kind: str
 @pytest.mark.parametrize("gradient_steps", [1, 3])
 def test_sac_stops_at_a_loss_that_is_not_finite(gradient_steps: int) -> None:
     env = DummyVecEnv([lambda: Rewarded(np.nan)])
-    learner = make_sac(env, replace(PRESETS["smoke"].sac, hidden_units=8, batch_size=8, buffer_size=20), 0)
+    learner = make_sac(env, SacConfig(hidden_units=8, batch_size=8, buffer_size=20), 0)
     learner.where = "actor, update 7"
     callback = start_collecting(learner, 1000)
     for _ in range(9):
@@ -98,8 +99,8 @@ def test_sac_stops_at_a_loss_that_is_not_finite(gradient_steps: int) -> None:
 
 def test_learners_are_told_their_level_and_update() -> None:
     """Steps of an update are n_steps times n_envs, so 3 x 4 x 10 steps were three updates."""
-    config = replace(PRESETS["smoke"], n_envs=4, steps=480, low=replace(LOW, n_steps=10))
+    config = replace(METHODS["hrl_dcs"].config("smoke"), n_envs=4, steps=480, low=replace(LOW, n_steps=10))
     training: Any = SimpleNamespace(config=config, steps_per_update=40, learners={"sgn": SimpleNamespace()})
-    CollectedTraining.follow_schedule(training, 120)
+    Training.follow_schedule(training, 120)
     assert training.learners["sgn"].where == "sgn, update 4"
     assert training.learners["sgn"]._current_progress_remaining == 0.75

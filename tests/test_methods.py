@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from reproduce.baselines.sac import SacTraining
 from reproduce.experiments import train as training
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS, load_policy
+from reproduce.experiments.presets import PRESETS, changed
 from reproduce.experiments.train import train
-from reproduce.learning.config import PRESETS, TrainingConfig, to_dict
 from reproduce.learning.workers import RETURN, EnvOptions, WorkerVecEnv
 from reproduce.report.film import film
 from reproduce.storage.checkpoint import has_checkpoint
 from reproduce.storage.errors import UserError
+from reproduce.storage.records import to_dict
 
 LEARNING = [name for name, method in METHODS.items() if method.train is not None]
 
@@ -31,12 +33,18 @@ class Stop(Exception):
     """Raised in place of a kill."""
 
 
-def _small(name: str) -> TrainingConfig:
-    config = METHODS[name].config("smoke")
-    sac = replace(config.sac, learning_starts=256, batch_size=16, hidden_units=16, buffer_size=1024)
-    fun = replace(config.fun, goal_size=16, embedding_size=4, horizon=5)
-    low = replace(config.low, n_epochs=1)
-    return replace(config, steps=1536, n_envs=4, checkpoint_every=2, low=low, sac=sac, fun=fun)
+#: What makes a training of a second of the smoke preset, by part of the configuration.
+SMALL: dict[str, dict[str, Any]] = {
+    "sac": {"learning_starts": 256, "batch_size": 16, "hidden_units": 16, "buffer_size": 1024},
+    "fun": {"goal_size": 16, "embedding_size": 4, "horizon": 5},
+    "low": {"n_epochs": 1},
+}
+
+
+def _small(name: str) -> Any:
+    config = replace(METHODS[name].config("smoke"), steps=1536, n_envs=4, checkpoint_every=2)
+    parts = {part: changes for part, changes in SMALL.items() if hasattr(config, part)}
+    return changed(config, {f"{part}.{key}": value for part, own in parts.items() for key, value in own.items()})
 
 
 @pytest.mark.parametrize("name", LEARNING)
@@ -70,6 +78,8 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     seen, starts = np.zeros((3, SIZE), np.float32), np.ones(3, bool)
     actions = policy.act(seen, starts)
     assert actions.shape == (3, JOINTS) and np.abs(actions).max() <= 1.0
+    _, fresh = load_policy(parts)
+    assert np.array_equal(fresh.act(seen, np.zeros(3, bool)), actions)  # the first call begins an episode by itself
 
 
 def test_sac_learns_while_its_environments_step(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,9 +140,10 @@ def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
 
 def test_all_methods_meet_the_same_terms() -> None:
     """Steps, agents, scenes, view and reward weights are one preset's; only what is a method's own differs."""
-    own = {"low", "high", "hierarchy", "fun", "sac", "obstacle_reward"}
-    for preset, config in PRESETS.items():
-        common = {key: value for key, value in to_dict(config).items() if key not in own}
+    own = {"low", "high", "hierarchy", "anchors", "acting", "fun", "sac", "obstacle_reward"}
+    for preset in PRESETS:
+        common = {key: value for key, value in to_dict(METHODS["hrl_dcs"].config(preset)).items() if key not in own}
+        assert {"steps", "n_envs", "reward", "lying_weight", "mirrored", "scenes"} <= set(common)
         for name in LEARNING:
             found = to_dict(METHODS[name].config(preset))
             assert {key: value for key, value in found.items() if key not in own} == common

@@ -37,7 +37,7 @@ def write_notebook(folder: Path, name: str, *cells: str) -> Path:
 
 def test_values_are_checked_by_type_and_range() -> None:
     for name, good in (("preset", "smoke"), ("seed", 0), ("tests", 1), ("steps", 5), ("gamma", 0.5), ("gamma", 1.0)):
-        check_value(name, good)
+        check_value(name, good, good)
     for name, bad in (
         ("preset", "huge"),
         ("preset", 3),
@@ -51,7 +51,7 @@ def test_values_are_checked_by_type_and_range() -> None:
         ("gamma", float("nan")),
     ):
         with pytest.raises(UserError, match=f"^{name}: "):
-            check_value(name, bad)
+            check_value(name, bad, bad)
 
 
 def test_a_notebook_knows_its_own_parameters_when_it_begins() -> None:

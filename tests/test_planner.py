@@ -143,7 +143,7 @@ def test_planner_gets_both_arms_under_without_touching_a_rock(
     assert policy.plan is not None
     assert ended["both_arms_under"]
     assert ended["failure"] != "obstacle_contact"
-    assert (ended["is_success"], ended["both_arms_under"]) == (policy.plan.rescued, policy.plan.under)
+    assert (ended["success"], ended["both_arms_under"]) == (policy.plan.rescued, policy.plan.under)
     # Once more, looking at every contact with a rock on the way in.
     env.reset_flat(options={"scene": scene})
     for action in policy.plan.actions:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from reproduce.report.gallery import choose_clips
 from reproduce.report.notebook import fill_in, notebook_page
 from reproduce.report.viewer import LARGEST, record, write_replay
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import write_json
 
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="
 
@@ -67,7 +66,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     method = METHODS["ppo_lstm"]
     config = replace(method.config("smoke"), steps=512, n_envs=2)
     train(method, config, 0, folder, "smoke", quiet=True, tensorboard=results / "scratch" / "tensorboard")
-    write_json(folder / "evaluation.json", evaluate(folder, tests=2, quiet=True))
+    evaluate(folder, tests=2, quiet=True, json=folder / "evaluation.json")
     executed(results / "notebooks" / "01_try.ipynb")
     return results
 
@@ -111,10 +110,11 @@ def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
     assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text)
 
 
-def test_clips_show_a_success_and_a_failure_of_each_method_and_every_posture(results: Path) -> None:
-    runs = reference_runs(results)
-    found = dict(runs[0].evaluation or {}, outcomes="0010", first_seed=5)
-    clips = choose_clips([replace(runs[0], evaluation=found)])
+def test_clips_show_a_success_and_a_failure_of_each_method_and_every_posture(
+    run_folder: Callable[..., Path], tmp_path: Path
+) -> None:
+    run_folder(tmp_path, "ppo_lstm", outcomes=[False, False, True, False], first_seed=5)
+    clips = choose_clips(reference_runs(tmp_path))
     assert [(clip.label, clip.seed) for clip in clips[:2]] == [("success: scene 7", 7), ("failure: scene 5", 5)]
     named = {clip.file for clip in clips[2:]}
     assert named == {f"posture-{name}.html" for name in postures()}
@@ -131,8 +131,8 @@ def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None
     assert {"README.md", "policy.safetensors", "policy.json", "config.json", "run.json"} <= {
         p.name for p in out.iterdir()
     }
-    again = evaluate(out, tests=2, quiet=True)
-    assert again["outcomes"] == json.loads((out / "evaluation.json").read_text())["outcomes"]
+    evaluate(out, tests=2, quiet=True, json=tmp_path / "again.json")
+    assert (tmp_path / "again.csv").read_text() == (out / "evaluation.csv").read_text()
     with pytest.raises(UserError, match="not empty"):
         export("ppo_lstm", out, results=results)
     for method, word in (("fun", "no trained reference run"), ("nonsense", "method")):

@@ -4,33 +4,40 @@ from __future__ import annotations
 
 import json
 import subprocess
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from lunar_rescue.scenes.splits import SPLITS, TRAIN, split_of
 from reproduce.analysis import reward_forms as arithmetic
-from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims, final_return, steps_to_converge
-from reproduce.analysis.intervals import count_by, mean_interval, paired_difference, summarise, wilson
+from reproduce.analysis.claims import ENOUGH_STEPS, compute_claims
+from reproduce.analysis.intervals import mean_interval, paired_difference
 from reproduce.analysis.runs import reference_runs
 from reproduce.analysis.settings import settings_table
 from reproduce.analysis.tables import (
     by_attitude,
+    by_condition,
     nearest_to_rocks,
     paired_differences,
     readable_differences,
     readable_table1,
     table1,
+    write_tables,
 )
-from reproduce.experiments.evaluate import mass_class
-from reproduce.learning.splits import train_seed
+from reproduce.analysis.trainings import final_return, steps_to_converge
+from reproduce.experiments.rows import wilson
+from reproduce.learning.workers import train_seed
 from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.report.pages import PAGES, rewritten
 from reproduce.storage.errors import UserError
 from reproduce.storage.paths import ROOT
+
+RunFolder = Callable[..., Path]
 
 
 def test_wilson_gives_the_papers_intervals() -> None:
@@ -42,44 +49,23 @@ def test_wilson_gives_the_papers_intervals() -> None:
         wilson(3, 2)
 
 
-def _episode(success: bool, task: str, posture: str, failure: str | None, under: bool = True) -> dict[str, Any]:
-    return {"is_success": success, "both_arms_under": under, "failure": failure, "task": task, "posture": posture}
-
-
-def test_summary_by_hand() -> None:
-    episodes = [
-        _episode(True, "lift", "a", None),
-        _episode(False, "lift", "b", "timeout", under=False),
-        _episode(True, "turn_over", "b", None),
-        _episode(False, "turn_over", "b", "timeout"),
-    ]
-    found = summarise(episodes)
-    assert (found["tests"], found["successes"], found["success_rate"], found["both_arms_under"]) == (4, 2, 0.5, 0.75)
-    assert found["by_posture"] == {"a": {"tests": 1, "successes": 1}, "b": {"tests": 3, "successes": 1}}
-    assert found["by_posture_and_task"]["b turn_over"] == {"tests": 2, "successes": 1}
-    assert found["failures"] == {"timeout": 2} and found["outcomes"] == "1010"
-    assert count_by(episodes, "task")["lift"] == {"tests": 2, "successes": 1}
-
-
 def test_paired_difference_by_hand() -> None:
-    first, second = "1" * 60 + "0" * 40, "1" * 40 + "0" * 25 + "1" * 5 + "0" * 30
+    first = np.repeat([True, False], [60, 40])
+    second = np.repeat([True, False, True, False], [40, 25, 5, 30])
     difference, low, high = paired_difference(first, second)  # 20 times better, 5 times worse
     assert difference == pytest.approx(0.15)
     half = 1.959964 * ((20.5 + 5.5 - 15.0**2 / 102) / 102**2) ** 0.5
     assert (low, high) == pytest.approx((15.0 / 102 - half, 15.0 / 102 + half), abs=1e-6)
     difference, low, high = paired_difference(first, first)
     assert difference == 0.0 and low < 0.0 < high
-    for bad in ("1", "", first[:-1] + "2"):
+    for bad in ([True], [], np.ones(100)):
         with pytest.raises(ValueError, match="outcomes"):
             paired_difference(first, bad)
 
 
-def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None:
+def test_paired_differences_are_those_of_the_same_scenes(run_folder: RunFolder, tmp_path: Path) -> None:
     for name, outcomes, first in (("hrl_dcs", "1101", 0), ("fun", "1001", 0), ("sac", "0000", 8)):
-        run = tmp_path / "reference" / name / "seed0"
-        run.mkdir(parents=True)
-        told = {"tests": 4, "first_seed": first, "outcomes": outcomes}
-        (run / "evaluation.json").write_text(json.dumps(told))
+        run_folder(tmp_path, name, outcomes=[digit == "1" for digit in outcomes], first_seed=first)
     table = paired_differences(tmp_path)
     assert list(table.index) == ["hrl_dcs - fun seed 0"] and table["difference"].iloc[0] == 0.25
     (row,) = readable_differences(tmp_path).to_dict("records")
@@ -87,28 +73,26 @@ def test_paired_differences_are_those_of_the_same_scenes(tmp_path: Path) -> None
     assert row["held out"] == "-"
 
 
-def test_attitudes_are_sums_over_their_postures(tmp_path: Path) -> None:
-    told = {
-        "left_side_stride turn_over": {"tests": 4, "successes": 4},
-        "right_side_curled turn_over": {"tests": 6, "successes": 1},
-        "prone_crawl turn_over": {"tests": 5, "successes": 3},
-        "prone_crawl lift": {"tests": 5, "successes": 0},
+def test_attitudes_are_sums_over_their_postures(run_folder: RunFolder, tmp_path: Path) -> None:
+    told = {  # tests and successes
+        ("left_side_stride", "turn_over"): (4, 4),
+        ("right_side_curled", "turn_over"): (6, 1),
+        ("prone_crawl", "turn_over"): (5, 3),
+        ("prone_crawl", "lift"): (5, 0),
     }
-    run = tmp_path / "reference" / "sac" / "seed0"
-    run.mkdir(parents=True)
-    (run / "evaluation.json").write_text(json.dumps({"by_posture_and_task": told}))
+    outcomes = [index < rescued for tests, rescued in told.values() for index in range(tests)]
+    pairs = [pair for pair, (tests, _) in told.items() for _ in range(tests)]
+    run_folder(tmp_path, "sac", outcomes=outcomes, posture=[p for p, _ in pairs], task=[t for _, t in pairs])
     row = by_attitude(results=tmp_path).loc["sac seed 0"].to_dict()
     assert row == {"lift prone": "0.0 % of 5", "turn over prone": "60.0 % of 5", "turn over side": "50.0 % of 10"}
     assert by_attitude("heldout", tmp_path).empty
 
 
-def test_how_near_rocks_were_is_compared_where_there_are_rocks(tmp_path: Path) -> None:
+def test_how_near_rocks_were_is_compared_where_there_are_rocks(run_folder: RunFolder, tmp_path: Path) -> None:
     assert nearest_to_rocks(tmp_path).empty
     told = {"hrl_dcs": [0.5, None, 0.25, 0.3], "hrl_dcs_no_aapf": [0.4, None, 0.25, 0.1]}
     for name, marks in told.items():
-        run = tmp_path / "reference" / name / "seed0"
-        run.mkdir(parents=True)
-        (run / "evaluation.json").write_text(json.dumps({"tests": 4, "first_seed": 0, "nearest_mark": marks}))
+        run_folder(tmp_path, name, outcomes=[True] * 4, nearest_mark=marks)
     table = nearest_to_rocks(tmp_path)
     assert list(table["scenes with rocks"]) == [3, 3, 3]
     assert list(table["mean"]) == pytest.approx([0.35, 0.25, 0.1])
@@ -117,8 +101,6 @@ def test_how_near_rocks_were_is_compared_where_there_are_rocks(tmp_path: Path) -
     assert (low, high) == pytest.approx((0.1 - half, 0.1 + half), abs=1e-6)
     with pytest.raises(ValueError, match="two values"):
         mean_interval([1.0])
-    marked = [{**_episode(True, "lift", "a", None), "nearest_mark": mark} for mark in (0.12345, None)]
-    assert summarise(marked)["nearest_mark"] == [0.123, None]
 
 
 def test_every_setting_says_where_it_comes_from() -> None:
@@ -129,21 +111,12 @@ def test_every_setting_says_where_it_comes_from() -> None:
     assert len({value for key, value in steps.items() if key != "where from"}) == 1
 
 
-def _results(folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: float = 0.1) -> Path:
+def _results(make: RunFolder, folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: float = 0.1) -> Path:
     """A results folder: for each method (successes, tests) of each seed."""
     for method, seeds in runs.items():
         for seed, (successes, tests) in enumerate(seeds):
-            run = folder / "reference" / method / f"seed{seed}"
-            run.mkdir(parents=True)
-            low, high = wilson(successes, tests)
-            evaluation = {
-                "tests": tests, "successes": successes, "success_rate": successes / tests, "wilson_low": low,
-                "first_seed": 0, "outcomes": "1" * successes + "0" * (tests - successes),
-                "wilson_high": high, "seconds_per_test": per_test,
-                "by_posture": {f"p{i}": {"tests": tests // 20, "successes": -(-successes // 20)} for i in range(20)},
-            }  # fmt: skip
-            (run / "evaluation.json").write_text(json.dumps(evaluation))
-            (run / "run.json").write_text(json.dumps({"steps": ENOUGH_STEPS, "seconds": 120.0}))
+            outcomes = [True] * successes + [False] * (tests - successes)
+            make(folder, method, seed, outcomes, summary={"seconds_per_test": per_test})
     return folder
 
 
@@ -170,8 +143,8 @@ def _five(successes: int, spread: int = 2) -> list[tuple[int, int]]:
     return [(successes + spread * k, 1000) for k in (-2, -1, 0, 1, 2)]
 
 
-def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": _five(985), "hrl_dcs_no_aapf": _five(870), "fun": _five(994)})
+def test_enough_seeds_and_tests_give_a_verdict(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": _five(985), "hrl_dcs_no_aapf": _five(870), "fun": _five(994)})
     assert _verdicts(folder)["C4"] == "inconclusive"  # no curves
     _curve(folder, "hrl_dcs", 30, 9.0)
     _curve(folder, "hrl_dcs_no_aapf", 50, 8.0)
@@ -184,33 +157,34 @@ def test_enough_seeds_and_tests_give_a_verdict(tmp_path: Path) -> None:
     assert found["C8"] == "inconclusive"
 
 
-def test_overlapping_intervals_are_inconclusive(tmp_path: Path) -> None:
-    found = _verdicts(_results(tmp_path, {m: _five(n) for m, n in (("hrl_dcs", 900), ("hrl_dcs_no_aapf", 898))}))
+def test_overlapping_intervals_are_inconclusive(run_folder: RunFolder, tmp_path: Path) -> None:
+    found = _verdicts(
+        _results(run_folder, tmp_path, {m: _five(n) for m, n in (("hrl_dcs", 900), ("hrl_dcs_no_aapf", 898))})
+    )
     assert found["C4"] == "inconclusive"
     assert found["C5"] == "contradicted"
 
 
-def test_trainings_that_differ_among_themselves_leave_it_open(tmp_path: Path) -> None:
+def test_trainings_that_differ_among_themselves_leave_it_open(run_folder: RunFolder, tmp_path: Path) -> None:
     """5000 tests each tell 900 from 870, but not where trainings of one method differ by 100."""
-    found = _verdicts(_results(tmp_path / "apart", {"hrl_dcs": _five(900), "fun": _five(870)}))
+    found = _verdicts(_results(run_folder, tmp_path / "apart", {"hrl_dcs": _five(900), "fun": _five(870)}))
     assert (found["C3"], found["C5"]) == ("verified", "contradicted")
-    found = _verdicts(_results(tmp_path / "spread", {"hrl_dcs": _five(900, 50), "fun": _five(870)}))
+    found = _verdicts(_results(run_folder, tmp_path / "spread", {"hrl_dcs": _five(900, 50), "fun": _five(870)}))
     assert (found["C3"], found["C5"]) == ("inconclusive", "verified")  # 98.6 % is within what five such trainings say
 
 
-def test_one_training_each_is_judged_by_pairs(tmp_path: Path) -> None:
+def test_one_training_each_is_judged_by_pairs(run_folder: RunFolder, tmp_path: Path) -> None:
     """930 and 915 of 1000 have intervals that overlap, but all of the 15 scenes that differ speak for the first."""
-    folder = _results(tmp_path, {"hrl_dcs": [(930, 1000)], "fun": [(915, 1000)]})
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": [(930, 1000)], "fun": [(915, 1000)]})
     evidence = next(claim.evidence for claim in compute_claims(folder) if claim.id == "C3")
     assert "paired difference [+0." in evidence and "by the rule alone verified" in evidence
-    path = folder / "reference" / "fun" / "seed0" / "evaluation.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "first_seed": 5}))
+    run_folder(folder, "fun", outcomes=[True] * 915 + [False] * 85, first_seed=5)
     evidence = next(claim.evidence for claim in compute_claims(folder) if claim.id == "C3")
     assert "not on the same scenes (open)" in evidence
 
 
-def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": [(196, 200)], "hrl_dcs_no_aapf": [(100, 200)]}, per_test=0.9)
+def test_few_seeds_are_reduced_scale_and_say_so(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": [(196, 200)], "hrl_dcs_no_aapf": [(100, 200)]}, per_test=0.9)
     _curve(folder, "hrl_dcs", 30, 9.0)
     _curve(folder, "hrl_dcs_no_aapf", 50, 8.0)
     claims = {claim.id: claim for claim in compute_claims(folder)}
@@ -219,23 +193,21 @@ def test_few_seeds_are_reduced_scale_and_say_so(tmp_path: Path) -> None:
     assert (claims["C5"].seeds, claims["C5"].tests, claims["C5"].env_steps) == (1, 200, ENOUGH_STEPS)
 
 
-def test_short_trainings_are_reduced_scale(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": _five(985)})
+def test_short_trainings_are_reduced_scale(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": _five(985)})
     assert _verdicts(folder)["C5"] == "verified"
     short = folder / "reference" / "hrl_dcs" / "seed3" / "run.json"
-    short.write_text(json.dumps({"steps": ENOUGH_STEPS - 1, "seconds": 120.0}))
+    short.write_text(json.dumps(json.loads(short.read_text()) | {"steps": ENOUGH_STEPS - 1}))
     assert _verdicts(folder)["C5"] == "reduced scale"
 
 
-def test_postures_are_judged_over_all_trainings(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": _five(985)})
-    for seed, counts in enumerate([(50, 50), (50, 50), (50, 50), (50, 50), (35, 50)]):
-        path = folder / "reference" / "hrl_dcs" / f"seed{seed}" / "evaluation.json"
-        told = json.loads(path.read_text())
-        told["by_posture"] = {f"p{i}": {"tests": 50, "successes": 50} for i in range(20)}
-        told["by_posture"]["p7"] = dict(zip(("successes", "tests"), counts, strict=True))
-        path.write_text(json.dumps(told))
-    judged = next(claim for claim in compute_claims(folder) if claim.id == "C7")
+def test_postures_are_judged_over_all_trainings(run_folder: RunFolder, tmp_path: Path) -> None:
+    for seed in range(5):
+        outcomes = np.ones(1000, dtype=bool)
+        if seed == 4:
+            outcomes[7 : 15 * 20 : 20] = False  # the eighth posture: 35 of 50
+        run_folder(tmp_path, "hrl_dcs", seed, outcomes)
+    judged = next(claim for claim in compute_claims(tmp_path) if claim.id == "C7")
     assert judged.verdict == "verified" and judged.measured == pytest.approx(235 / 250)
     assert (judged.low, judged.high) == pytest.approx(wilson(235, 250))
 
@@ -252,8 +224,8 @@ def test_what_does_not_rise_has_not_converged(returns: list[float]) -> None:
     assert steps_to_converge(curve) is None
 
 
-def test_c2_is_a_ratio_of_steps(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": _five(985), "fun": _five(900)})
+def test_c2_is_a_ratio_of_steps(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": _five(985), "fun": _five(900)})
     _curve(folder, "hrl_dcs", 22, 9.0)
     _curve(folder, "fun", 62, 9.0)
     judged = next(claim for claim in compute_claims(folder) if claim.id == "C2")
@@ -277,16 +249,16 @@ def test_c2_is_a_ratio_of_steps(tmp_path: Path) -> None:
     ],
 )
 def test_sac_is_to_be_fast_low_and_unsuccessful(
-    rise: int, final: float, successes: int, verdict: str, tmp_path: Path
+    rise: int, final: float, successes: int, verdict: str, run_folder: RunFolder, tmp_path: Path
 ) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": _five(985), "sac": _five(successes)})
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": _five(985), "sac": _five(successes)})
     _curve(folder, "hrl_dcs", 40, 9.0)
     _curve(folder, "sac", rise, final)
     assert _verdicts(folder)["C1"] == verdict
 
 
-def test_table1_has_the_contract_s_columns(tmp_path: Path) -> None:
-    table = table1(_results(tmp_path, {"hrl_dcs": [(50, 100)]}))
+def test_table1_has_the_contract_s_columns(run_folder: RunFolder, tmp_path: Path) -> None:
+    table = table1(_results(run_folder, tmp_path, {"hrl_dcs": [(50, 100)]}))
     assert list(table.columns) == [
         "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
         "paper_success_rate",
@@ -294,12 +266,11 @@ def test_table1_has_the_contract_s_columns(tmp_path: Path) -> None:
     assert table.iloc[0]["minutes"] == 2.0 and table.iloc[0]["paper_success_rate"] == 0.986
 
 
-def test_table1_for_people_has_held_out_scenes_beside_it(tmp_path: Path) -> None:
-    folder = _results(tmp_path, {"hrl_dcs": [(50, 100), (60, 100)]})
-    held = {"success_rate": 0.25, "wilson_low": 0.2, "wilson_high": 0.3}
-    (folder / "reference" / "hrl_dcs" / "seed1" / "heldout.json").write_text(json.dumps(held))
+def test_table1_for_people_has_held_out_scenes_beside_it(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = _results(run_folder, tmp_path, {"hrl_dcs": [(50, 100), (60, 100)]})
+    run_folder(folder, "hrl_dcs", 1, [True] * 25 + [False] * 75, name="heldout", first_seed=2_000_000)
     row = readable_table1(folder).set_index("method").loc["HRL-DCS"]
-    assert row["held out"] == "-, 25.0 % [20.0 %, 30.0 %]"
+    assert row["held out"] == "-, 25.0 % [17.5 %, 34.3 %]"
     assert row["ours, success [95 % interval]"].startswith("50.0 % [40.4 %")
 
 
@@ -344,14 +315,23 @@ def test_mathematics_becomes_mathml_outside_code() -> None:
     assert mark_mathematics("5 $ and 6 $", {}, "01") == "5 $ and 6 $"
 
 
-def test_conditions_of_a_scene_are_counted_where_rows_tell_them() -> None:
-    row = {"is_success": True, "both_arms_under": True, "failure": None, "task": "lift", "posture": "supine_straight"}
-    assert "by_terrain" not in summarise([row])
-    told = [{**row, "terrain": "rough", "mass_class": mass_class(mass), "rocks": 2} for mass in (160.0, 250.0, 343.0)]
-    summary = summarise([*told, {**told[0], "terrain": "smooth", "is_success": False, "failure": "timeout"}])
-    assert summary["by_terrain"]["rough"] == {"tests": 3, "successes": 3}
-    assert summary["by_mass_class"]["160 to 221 kg"] == {"tests": 2, "successes": 1}
-    assert list(summary["by_mass_class"]) == ["160 to 221 kg", "221 to 282 kg", "282 to 343 kg"]
+def test_conditions_of_scenes_by_hand(run_folder: RunFolder, tmp_path: Path) -> None:
+    changes = {"mass": [160.0, 220.9, 250.0, 343.0], "terrain": ["rough", "rough", "rough", "smooth"]}
+    marks = [0.5, None, 0.5, 0.5]
+    run_folder(tmp_path, "sac", outcomes=[True, True, True, False], nearest_mark=marks, **changes)
+    (run,) = reference_runs(tmp_path)
+    rows = run.rows()
+    assert rows is not None
+    table: Any = by_condition(rows)
+    assert table.loc[("ground", "rough"), ["tests", "success"]].tolist() == [3, 1.0]
+    assert table.loc[("mass", "160 to 221 kg"), ["tests", "success"]].tolist() == [2, 1.0]
+    assert list(table.loc["mass"].index) == ["160 to 221 kg", "221 to 282 kg", "282 to 343 kg"]
+    assert table.loc[("rocks", "2"), ["low", "high"]].tolist() == list(wilson(2, 3))
+    written = {path.name: pd.read_csv(path) for path in write_tables(tmp_path)}
+    assert len(written["conditions.csv"]) == len(table)
+    assert written["failures.csv"].to_dict("records") == [
+        {"method": "sac", "seed": 0, "evaluation": "evaluation", "failure": "timeout", "tests": 1}
+    ]
 
 
 def test_no_file_of_the_project_holds_a_path_of_a_machine() -> None:

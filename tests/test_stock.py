@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from reproduce.bench.stock import StockTraining, copy_rollout
-from reproduce.hrl_dcs.training import make_learner
-from reproduce.learning.config import PRESETS
-from reproduce.learning.training import OnlySpaces
+from reproduce.experiments.methods import METHODS
+from reproduce.learning.training import OnlySpaces, make_learner
 
 
 def test_stock_training_updates_both_layers_and_hands_its_rollout_over() -> None:
-    smoke = PRESETS["smoke"]
+    smoke = METHODS["hrl_dcs"].config("smoke")
     config = replace(smoke, steps=10_000, n_envs=2, low=replace(smoke.low, n_steps=24, batch_size=32, n_epochs=1))
     stock = StockTraining(config, 0)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,31 +12,31 @@ import pytest
 
 from reproduce.experiments import tuning
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
+from reproduce.experiments.presets import CHOSEN, PRESETS, TRIALS, changed
 from reproduce.experiments.tuning import tune, tuning_table
-from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
 
 
 def test_every_baseline_gets_as_many_trials_and_has_chosen_one() -> None:
     assert len({len(trials) for trials in TRIALS.values()}) == 1
     for method, trials in TRIALS.items():
-        assert len({trial.name for trial in trials}) == len(trials)
-        assert len({trial.config(PRESETS["laptop"]) for trial in trials}) == len(trials)
-        (chosen,) = (trial for trial in trials if trial.name == CHOSEN[method])
-        for name, preset in PRESETS.items():
-            assert METHODS[method].config(name) == chosen.config(preset)
+        for preset in PRESETS:
+            untuned = replace(METHODS[method], changes={}).config(preset)
+            assert preset != "laptop" or len({changed(untuned, trial) for trial in trials.values()}) == len(trials)
+            assert METHODS[method].config(preset) == changed(untuned, trials[CHOSEN[method]])
 
 
 def test_a_trial_of_a_setting_that_is_not_there_is_refused() -> None:
-    for where in ("low.gama", "lwo.gamma", "steps", ""):
-        with pytest.raises(ValueError, match="part and a field"):
-            Trial("wrong", {where: 1.0}).config(PRESETS["laptop"])
+    config = METHODS["ppo_lstm"].config("laptop")
+    for where in ("low.gama", "lwo.gamma", "sac.gamma", "step", "low", ""):
+        with pytest.raises(ValueError, match=f"section and a field, got {where!r}" if where != "low" else "low"):
+            changed(config, {where: 1.0})
 
 
 def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = Trial("one", {}), Trial("two", {"low.n_epochs": 1})
-    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first,)})
+    first: dict[str, Any] = {"one": {}}
+    second = {"two": {"low.n_epochs": 1}}
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": first})
     monkeypatch.setattr(tuning, "CHOSEN", {"ppo_lstm": "two"})
     options: dict[str, Any] = {"steps": 1, "tests": 2, "quiet": True, "results": tmp_path}
     told: list[str] = []
@@ -45,11 +46,11 @@ def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pyte
     assert json.loads((path.parent / "origins.json").read_text())[path.name]["commit"]
     before = path.read_bytes()
 
-    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": (first, second)})
+    monkeypatch.setattr(tuning, "TRIALS", {"ppo_lstm": {**first, **second}})
     measured: list[str] = []
 
-    def measure(method: str, trial: Trial, *rest: Any) -> dict[str, Any]:
-        measured.append(trial.name)
+    def measure(method: str, trial: str, *rest: Any) -> dict[str, Any]:
+        measured.append(trial)
         return {key: made[key].iloc[0] for key in ("score", "both_arms_under", "success_rate", "seconds")}
 
     monkeypatch.setattr(tuning, "_measure", measure)

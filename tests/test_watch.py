@@ -89,7 +89,7 @@ def test_ctrl_c_ends_watch_in_one_line() -> None:
 
 def test_a_replay_takes_endings_in_capitals_and_checks_the_place_first(tmp_path: Path) -> None:
     row = replay("random", 3, tmp_path / "X.PNG", size=(128, 128))
-    assert (tmp_path / "X.PNG").stat().st_size > 1000 and "is_success" in row
+    assert (tmp_path / "X.PNG").stat().st_size > 1000 and "success" in row
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="cannot be written"):
         replay("random", 3, tmp_path / "file" / "x.png")

@@ -92,7 +92,7 @@ def failed_and_done(python: Path, tmp_path_factory: pytest.TempPathFactory) -> t
     (out / "reference" / "random" / "seed0").unlink()
     done = batch(python, out)
     assert done.returncode == 0, done.stderr
-    assert "2 of 3 steps" in done.stdout and f"{out}/tables: done" in done.stdout
+    assert "3 of 4 steps" in done.stdout and f"{out}/tables: done" in done.stdout
     return failed.stderr, out
 
 
@@ -112,7 +112,7 @@ def test_a_batch_writes_evaluations_tables_and_claims(done: Path) -> None:
         assert (done / name).is_file(), name
     assert "random,0,evaluation" in (done / "tables" / "success.csv").read_text()
     timings = (done / "timings.csv").read_text().splitlines()
-    assert timings[0] == "rule,step,output,seconds" and len(timings) == 3
+    assert timings[0] == "rule,step,output,seconds" and len(timings) == 4
     assert all(float(line.rsplit(",", 1)[1]) > 0 for line in timings[1:])
 
 
@@ -134,13 +134,13 @@ def test_a_batch_does_again_only_what_changed(done: Path) -> None:
     assert left(another, done)[0] == "reference/random/seed0/evaluation.json"
     run_batch(another, done, until="tables", echo=_quiet)
     assert evaluation.stat().st_mtime_ns != before
-    assert left(another, done)[-1] == "0 steps left" and left(plan("random"), done)[-1] == "2 steps left"
+    assert left(another, done)[-1] == "0 steps left" and left(plan("random"), done)[-1] == "3 steps left"
 
 
 @pytest.mark.process
 def test_a_dry_run_names_what_is_left_and_leaves_no_trace(tmp_path: Path) -> None:
     lines = left(plan("random"), tmp_path / "new")
-    assert "reference/random/seed0/evaluation.json" in lines and lines[-1] == "2 steps left"
+    assert "reference/random/seed0/evaluation.json" in lines and lines[-1] == "3 steps left"
     assert any("reason: Missing output files" in line for line in lines)
     assert not list(tmp_path.iterdir())
 

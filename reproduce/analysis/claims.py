@@ -24,16 +24,19 @@ runs a claim is ``inconclusive``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pandas as pd
+import yaml
 from scipy.stats import ttest_ind
 
-from reproduce.analysis.intervals import CONFIDENCE, mean_interval, paired_difference, same_scenes, wilson
-from reproduce.analysis.runs import Run, runs_of
+from lunar_rescue.scenes.postures import postures
+from reproduce.analysis.intervals import paired_difference, same_scenes
+from reproduce.analysis.trainings import MARGIN, Pool, percent, read_pools
+from reproduce.experiments.rows import CONFIDENCE, wilson
 from reproduce.storage.files import write_json
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.provenance import record_origin
@@ -41,11 +44,9 @@ from reproduce.storage.provenance import record_origin
 ENOUGH_SEEDS = 5  # one seed each says nothing of the variance between trainings
 ENOUGH_TESTS = 1000  # as in the paper; 50 cannot separate 98.6 % from 91.8 %
 ENOUGH_STEPS = 5_000_000  # our budget; the paper allows 700 million, stops earlier and does not say where
-POSTURES = 20
 SERVED = 0.9  # what every posture must reach; the paper gives no figure
 UNSOLVED = 0.05  # the paper gives SAC no figure at all
-CONVERGED = 0.9  # share of the way up
-MARGIN = 0.05  # of the larger: what returns or steps must differ by
+CLAIMS = Path(__file__).with_suffix(".yaml")  # what the paper claims, and the rules for it
 
 
 @dataclass(frozen=True)
@@ -80,299 +81,167 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Pool:
-    """The tests of all seeds of a method together."""
-
-    method: str
-    runs: tuple[Run, ...]
-
-    @property
-    def tests(self) -> int:
-        """Tests of all seeds."""
-        return sum(int(run.evaluation["tests"]) for run in self.runs if run.evaluation)
-
-    @property
-    def successes(self) -> int:
-        """Successes of all seeds."""
-        return sum(int(run.evaluation["successes"]) for run in self.runs if run.evaluation)
-
-    @property
-    def rate(self) -> float:
-        """Success rate."""
-        return self.successes / self.tests
-
-    @property
-    def rates(self) -> list[float]:
-        """Success rate of each training."""
-        return [float(run.evaluation["success_rate"]) for run in self.runs if run.evaluation]
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Of the success rate: Wilson's of all tests; for several trainings Student's of their rates where wider."""
-        low, high = wilson(self.successes, self.tests)
-        if len(self.runs) > 1:
-            _, lower, higher = mean_interval(self.rates)
-            low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
-        return low, high
-
-    @property
-    def enough(self) -> bool:
-        """Whether trainings, their steps and their tests reach the bars."""
-        trained = len(self.runs) >= ENOUGH_SEEDS and self.env_steps >= ENOUGH_STEPS
-        return trained and self.tests >= ENOUGH_TESTS * len(self.runs)
-
-    @property
-    def env_steps(self) -> int:
-        """Of the shortest training."""
-        return min(run.env_steps for run in self.runs)
-
-    def curves(self) -> list[pd.DataFrame]:
-        """Learning curves of the seeds that have one."""
-        found = (run.curve() for run in self.runs)
-        return [curve for curve in found if curve is not None]
-
-    def words(self) -> str:
-        """Figures in words."""
-        low, high = self.interval
-        return f"{self.method} {100 * self.rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-
-
-def pool(method: str, results: Path) -> Pool | None:
-    """All evaluated runs of a method, or None."""
-    runs = runs_of(method, results)
-    return Pool(method, tuple(runs)) if runs else None
-
-
-@dataclass(frozen=True)
 class Part:
     """One thing that a claim says.
 
     Attributes:
         words: What was found, with figures.
         holds: Whether it is so; None where the rule leaves it open.
+        figures: The claim's ``measured``, ``low`` and ``high``; without them it is the success of its first method.
+        one_training: Whether enough tests of one training decide it.
     """
 
     words: str
     holds: bool | None
+    figures: dict[str, Any] = field(default_factory=dict)
+    one_training: bool = False
 
 
 def succeeds_more(first: Pool, second: Pool) -> Part:
-    """Whether the first succeeds more often."""
-    found = _difference(first, second)
+    """Judge whether the first succeeds more often."""
     words = f"success: {first.words()} against {second.words()}"
-    if found is None:
-        return Part(f"{words}, not on the same scenes", None)
-    kind, low, high = found
-    words += f", {kind} difference [{100 * low:+.2f}, {100 * high:+.2f}] points"
-    return Part(words, True if low > 0.0 else (False if high < 0.0 else None))
-
-
-def _difference(first: Pool, second: Pool) -> tuple[str, float, float] | None:
-    """Interval of the difference of two success rates and what it is of; None where scenes are not the same."""
     if len(first.runs) > 1 and len(second.runs) > 1:
         low, high = ttest_ind(first.rates, second.rates, equal_var=False).confidence_interval(CONFIDENCE)
-        return "trainings'", float(low), float(high)
-    ours, theirs = first.runs[0].evaluation or {}, second.runs[0].evaluation or {}
-    if not ours.get("outcomes") or not same_scenes(ours, theirs):
-        return None
-    _, low, high = paired_difference(ours["outcomes"], theirs["outcomes"])
-    return "paired", low, high
+        kind = "trainings'"
+    else:
+        ours, theirs = (pool.rows[pool.rows["training"] == pool.runs[0].seed] for pool in (first, second))
+        if not same_scenes(ours, theirs):
+            return Part(f"{words}, not on the same scenes", None)
+        kind, (_, low, high) = "paired", paired_difference(ours["success"], theirs["success"])
+    words += f", {kind} difference [{100 * low:+.2f}, {100 * high:+.2f}] points"
+    return Part(words, _lies(above=low > 0.0, below=high < 0.0))
 
 
-def unsolved(found: Pool) -> Part:
-    """Whether a method does not solve the task."""
-    low, high = found.interval
-    words = f"success: {found.words()}, not solved is below {100 * UNSOLVED:.0f} %"
-    return Part(words, True if high < UNSOLVED else (False if low >= UNSOLVED else None))
+def _lies(*, above: bool, below: bool) -> bool | None:
+    """Return what holds of a value that lies above a bar, below it or neither."""
+    return True if above else (False if below else None)
+
+
+def unsolved(pool: Pool) -> Part:
+    """Judge whether a method does not solve the task."""
+    low, high = pool.interval
+    words = f"success: {pool.words()}, not solved is below {100 * UNSOLVED:.0f} %"
+    return Part(words, _lies(above=high < UNSOLVED, below=low >= UNSOLVED))
+
+
+def reaches(pool: Pool, level: float) -> Part:
+    """Judge whether a method succeeds in this share of the tests."""
+    return Part(f"{pool.words()}, paper {100 * level:.1f} %", pool.interval[1] >= level)
 
 
 def returns_more(first: Pool, second: Pool, times: float = 1.0) -> Part:
-    """Whether the first one's return in the end is more than so many times the second's."""
-    found = [[final_return(curve) for curve in pool.curves()] for pool in (first, second)]
+    """Judge whether the first one's return in the end is more than so many times the second's."""
     factor = "" if times == 1.0 else f" and {times:g} times as much"
-    words = f"return in the end: {first.method} {_listed(found[0], 2)}, {second.method} {_listed(found[1], 2)}{factor}"
-    return Part(words, _above(found[0], [times * value for value in found[1]]))
+    words = f"return in the end: {_listed(first, first.returns, 2)}, {_listed(second, second.returns, 2)}{factor}"
+    return Part(words, _above(first.returns, [times * value for value in second.returns]))
 
 
 def converges_faster(first: Pool, second: Pool) -> Part:
-    """Whether the first converges in fewer environment steps."""
-    found = [[steps_to_converge(curve) for curve in pool.curves()] for pool in (first, second)]
-    told = [", ".join("none" if n is None else f"{n:,}" for n in steps) or "no curve" for steps in found]
-    words = f"env steps to converge: {first.method} {told[0]}, {second.method} {told[1]}"
-    if any(steps is None for each in found for steps in each):
-        return Part(words, None)
-    ours, theirs = ([float(steps) for steps in each if steps is not None] for each in found)
-    return Part(words, _above(theirs, ours))
+    """Judge whether the first converges in fewer environment steps."""
+    words = f"env steps to converge: {_listed(first, first.steps)}, {_listed(second, second.steps)}"
+    return Part(words, _above(second.steps, first.steps))
 
 
-def _above(high: list[float], low: list[float]) -> bool | None:
-    if not high or not low:
+def _above(high: Sequence[float | None], low: Sequence[float | None]) -> bool | None:
+    """Return whether all of one lie above all of the other by the margin, below it, or neither."""
+    ours, theirs = np.array(high, dtype=float), np.array(low, dtype=float)
+    if not ours.size or not theirs.size or np.isnan([*ours, *theirs]).any():
         return None
-    margin = MARGIN * max(map(abs, [*high, *low]))
-    if min(high) - max(low) > margin:
-        return True
-    return False if min(low) - max(high) > margin else None
+    margin = MARGIN * np.abs([*ours, *theirs]).max()
+    return _lies(above=ours.min() - theirs.max() > margin, below=theirs.min() - ours.max() > margin)
 
 
-def _listed(values: list[float], digits: int = 0) -> str:
-    return ", ".join(f"{value:,.{digits}f}" for value in values) or "no curve"
+def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
+    told = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
+    return f"{pool.method} {told or 'no curve'}"
 
 
-def final_return(curve: pd.DataFrame) -> float:
-    """Mean return over the last twentieth of the updates."""
-    return float(curve["return_high"].tail(max(1, len(curve) // 20)).mean())
+def converges_in_a_share(first: Pool, second: Pool) -> Part:
+    """Judge as ``converges_faster``; the figure is the ratio of mean steps, None where one has not converged."""
+    steps = [np.array(pool.steps, dtype=float) for pool in (first, second)]
+    known = all(each.size and not np.isnan(each).any() for each in steps)
+    ratio = float(steps[0].mean() / steps[1].mean()) if known else None
+    return replace(converges_faster(first, second), figures={"measured": ratio, "low": None, "high": None})
 
 
-def steps_to_converge(curve: pd.DataFrame) -> int | None:
-    """Environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
-    smooth = curve["return_high"].rolling(20, min_periods=1).mean()
-    first, last = float(smooth.iloc[0]), final_return(curve)
-    spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
-    if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
-        return None
-    reached = np.flatnonzero(smooth - first >= CONVERGED * (last - first))
-    return int(curve["env_steps"].iloc[reached[0]]) if len(reached) else int(curve["env_steps"].iloc[-1])
+def takes_at_most(pool: Pool, most: float) -> Part:
+    """Judge whether no evaluation takes longer than so many seconds a test; the figure is their mean."""
+    seconds = [run.evaluation["seconds_per_test"] for run in pool.runs if run.evaluation]
+    words = f"at most {max(seconds):.3f} s a test over {len(pool.rows)} tests; rule: no slower than the paper"
+    figures = {"measured": float(np.mean(seconds)), "low": min(seconds), "high": max(seconds)}
+    return Part(words, max(seconds) <= most, figures, one_training=True)
 
 
-def judge(claim: Claim, first: str, second: str, parts: Callable[[Pool, Pool], list[Part]], results: Path) -> Claim:
-    """Verdict on a claim about two methods; its figure is the success of the first."""
-    ours, theirs = pool(first, results), pool(second, results)
-    if ours is None or theirs is None:
-        missing = " and ".join(name for name, p in ((first, ours), (second, theirs)) if p is None)
-        return _with(claim, evidence=f"no evaluated run of {missing} in results/reference")
-    found = parts(ours, theirs)
-    held = [part.holds for part in found]
-    rule = "contradicted" if False in held else ("inconclusive" if None in held else "verified")
+def serves_every_posture(pool: Pool) -> Part:
+    """Judge whether the weakest of all postures is served; the figure is its success."""
+    counts = pool.rows.groupby("posture")["success"].agg(["mean", "sum", "size"])
+    name = min(counts.index, key=lambda posture: (counts["mean"][posture], posture))
+    rate, (low, high) = float(counts["mean"][name]), wilson(int(counts["sum"][name]), int(counts["size"][name]))
+    served = low >= SERVED and set(counts.index) == set(postures())
+    words, figures = (
+        f"weakest posture {name}: {percent(rate, (low, high))}",
+        {"measured": rate, "low": low, "high": high},
+    )
+    return Part(words, _lies(above=served, below=high < SERVED), figures)
+
+
+#: What ``claims.yaml`` may name.
+RULES: dict[str, Callable[..., Part]] = {
+    rule.__name__: rule
+    for rule in (
+        succeeds_more, unsolved, reaches, returns_more, converges_faster, converges_in_a_share, takes_at_most,
+        serves_every_posture,
+    )
+}  # fmt: skip
+
+
+def _enough(pool: Pool, one_training: bool) -> bool:
+    trained = one_training or (len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS)
+    return trained and len(pool.rows) >= ENOUGH_TESTS * (1 if one_training else len(pool.runs))
+
+
+def judge(claim: Claim, parts: list[Part], pools: list[Pool]) -> Claim:
+    """Return a claim with the verdict of its parts; without figures of theirs it is the first method's success."""
+    ours, holds = pools[0], [part.holds for part in parts]
+    rule = "contradicted" if False in holds else ("inconclusive" if None in holds else "verified")
     names = {True: "holds", False: "fails", None: "open"}
-    words = "; ".join(f"{part.words} ({names[part.holds]})" for part in found)
-    return _judged(claim, ours, rule, words, ours.enough and theirs.enough)
-
-
-def reaches(claim: Claim, method: str, level: float, results: Path) -> Claim:
-    """Verdict on: ``method`` succeeds in ``level`` of the tests."""
-    found = pool(method, results)
-    if found is None:
-        return _with(claim, evidence=f"no evaluated run of {method} in results/reference")
-    rule = "verified" if found.interval[1] >= level else "contradicted"
-    return _judged(claim, found, rule, f"{found.words()}, paper {100 * level:.1f} %", found.enough)
-
-
-def _judged(claim: Claim, found: Pool, rule: str, words: str, enough: bool) -> Claim:
-    bars = (
-        f"{len(found.runs)} seed(s) of {found.env_steps:,} steps, {found.tests} tests; "
-        f"bars {ENOUGH_SEEDS} seeds of {ENOUGH_STEPS:,} steps and {ENOUGH_TESTS} tests"
-    )
-    return _with(
+    evidence = "; ".join(f"{part.words} ({names[part.holds]})" for part in parts)
+    enough = all(_enough(pool, all(part.one_training for part in parts)) for pool in pools)
+    if not enough:
+        evidence += (
+            f"; by the rule alone {rule}; {len(ours.runs)} seed(s) of {ours.env_steps:,} steps, {len(ours.rows)} "
+            f"tests; bars {ENOUGH_SEEDS} seeds of {ENOUGH_STEPS:,} steps and {ENOUGH_TESTS} tests"
+        )
+    success = {"measured": float(ours.rows["success"].mean()), "low": ours.interval[0], "high": ours.interval[1]}
+    return replace(
         claim,
-        measured=found.rate,
-        low=found.interval[0],
-        high=found.interval[1],
-        seeds=len(found.runs),
-        tests=found.tests,
-        env_steps=found.env_steps,
+        **next((part.figures for part in parts if part.figures), success),
+        seeds=len(ours.runs),
+        tests=len(ours.rows),
+        env_steps=ours.env_steps,
         verdict=rule if enough else "reduced scale",
-        evidence=words if enough else f"{words}; by the rule alone {rule}; {bars}",
+        evidence=evidence,
     )
-
-
-def _with(claim: Claim, **changes: object) -> Claim:
-    return Claim(**{**asdict(claim), **changes})
-
-
-def _c2(results: Path) -> Claim:
-    claim = Claim("C2", "HRL-DCS converges slightly faster than FeUdal Networks", "59 h against 67 h")
-    judged = judge(claim, "hrl_dcs", "fun", lambda a, b: [converges_faster(a, b)], results)
-    steps = [_mean_steps(pool(method, results)) for method in ("hrl_dcs", "fun")]
-    ratio = None if steps[0] is None or steps[1] is None else steps[0] / steps[1]
-    return _with(judged, measured=ratio, low=None, high=None)
-
-
-def _mean_steps(found: Pool | None) -> float | None:
-    """Mean of the steps to converge, None where one training has not."""
-    steps = [steps_to_converge(curve) for curve in found.curves()] if found else []
-    known = [float(number) for number in steps if number is not None]
-    return float(np.mean(known)) if known and len(known) == len(steps) else None
-
-
-def _c6(results: Path) -> Claim:
-    claim = Claim("C6", "1000 tests take 652 s", "0.652 s a test")
-    found = pool("hrl_dcs", results)
-    if found is None:
-        return _with(claim, evidence="no evaluated run of hrl_dcs in results/reference")
-    seconds = [float(run.evaluation["seconds_per_test"]) for run in found.runs if run.evaluation]
-    rule = "verified" if max(seconds) <= 0.652 else "contradicted"
-    enough = found.tests >= ENOUGH_TESTS
-    return _with(
-        claim,
-        measured=float(np.mean(seconds)),
-        low=min(seconds),
-        high=max(seconds),
-        seeds=len(seconds),
-        tests=found.tests,
-        env_steps=found.env_steps,
-        verdict=rule if enough else "reduced scale",
-        evidence=f"at most {max(seconds):.3f} s a test over {found.tests} tests; rule: no slower than the paper",
-    )
-
-
-def _c7(results: Path) -> Claim:
-    claim = Claim("C7", "The policy serves any of the 20 postures and any start", "text")
-    found = pool("hrl_dcs", results)
-    if found is None:
-        return _with(claim, evidence="no evaluated run of hrl_dcs in results/reference")
-    pooled: dict[str, list[int]] = {}
-    for run in found.runs:
-        for name, counts in (run.evaluation or {})["by_posture"].items():
-            mine = pooled.setdefault(name, [0, 0])
-            mine[0] += int(counts["successes"])
-            mine[1] += int(counts["tests"])
-    rate, name = min((successes / tests, name) for name, (successes, tests) in pooled.items())
-    low, high = wilson(*pooled[name])
-    enough = len(pooled) == POSTURES and low >= SERVED
-    rule = "verified" if enough else ("contradicted" if high < SERVED else "inconclusive")
-    words = f"weakest posture {name}: {100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-    judged = _judged(claim, found, rule, words, found.enough)
-    return _with(judged, measured=rate, low=low, high=high)
 
 
 def compute_claims(results: Path = RESULTS) -> list[Claim]:
-    """All claims in order."""
-    c1 = Claim("C1", "SAC converges faster, to a much lower return, and does not solve the task", "no figure")
-    c3 = Claim("C3", "HRL-DCS succeeds more often than FeUdal Networks", "98.6 % against 91.8 %")
-    c4 = Claim(
-        "C4",
-        "AAPF raises return, speed and success against the contact reward",
-        "98.6 % against 87.3 %, 59 h to 86 h",
-    )
-    c5 = Claim("C5", "HRL-DCS succeeds in 98.6 % of 1000 tests", "98.6 % [97.7, 99.2]")
-    c8 = Claim(
-        "C8",
-        "Tests in a physical environment demonstrate the method",
-        "claimed by the abstract, deferred by the conclusion",
-        evidence="not testable here: there is no such robot; a second simulator is planned to stand in",
-    )
-    return [
-        judge(
-            c1, "sac", "hrl_dcs", lambda a, b: [converges_faster(a, b), returns_more(b, a, 2.0), unsolved(a)], results
-        ),
-        _c2(results),
-        judge(c3, "hrl_dcs", "fun", lambda a, b: [succeeds_more(a, b)], results),
-        judge(
-            c4,
-            "hrl_dcs",
-            "hrl_dcs_no_aapf",
-            lambda a, b: [succeeds_more(a, b), returns_more(a, b), converges_faster(a, b)],
-            results,
-        ),
-        reaches(c5, "hrl_dcs", 0.986, results),
-        _c6(results),
-        _c7(results),
-        c8,
-    ]
+    """Return all claims in order, with their verdicts."""
+    pools, judged = read_pools(results), []
+    for entry in yaml.safe_load(CLAIMS.read_text(encoding="utf-8")):
+        methods, rules = entry.pop("methods", []), entry.pop("parts", [])
+        claim = Claim(**entry)
+        missing = " and ".join(method for method in methods if method not in pools)
+        if missing:
+            claim = replace(claim, evidence=f"no evaluated run of {missing} in results/reference")
+        elif methods:
+            parts = [RULES[name](*(pools.get(argument, argument) for argument in rest)) for name, *rest in rules]
+            claim = judge(claim, parts, [pools[method] for method in methods])
+        judged.append(claim)
+    return judged
 
 
 def write_claims(claims: list[Claim], path: Path | None = None) -> Path:
-    """Write ``claims.json`` (to results/ unless told otherwise)."""
+    """Write ``claims.json``, to results/ unless told otherwise, and return its path."""
     target = path or RESULTS / "claims.json"
     write_json(target, [asdict(claim) for claim in claims])
     record_origin(target)
@@ -380,7 +249,7 @@ def write_claims(claims: list[Claim], path: Path | None = None) -> Path:
 
 
 def print_claims(claims: list[Claim]) -> None:
-    """Print a line a claim."""
+    """Print each claim in a line, with its verdict."""
     for c in claims:
         interval = "" if c.low is None else f" [{c.low:.3f}, {c.high:.3f}]"
         measured = "" if c.measured is None else f" {c.measured:.3f}{interval};"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import closing
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,27 +22,27 @@ from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import body_surface
+from reproduce.analysis.trainings import smooth
 
 Array = NDArray[np.float64]
-SMOOTHING = 20  # updates in a running mean
 
 sns.set_theme(context="notebook", style="whitegrid")
 
 
 def posture_gallery() -> Figure:
-    """P8: a picture of each of the 20 postures, from beyond the body, without rocks."""
+    """Draw P8, a picture of each of the 20 postures, from beyond the body, without rocks."""
     scenes = [(name, dataclasses.replace(sample_scene(0, posture=name), rocks=())) for name in postures()]
     return picture_grid(first_pictures(scenes, GALLERY_TURN, astronaut=True), columns=5)
 
 
 def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
-    """F4: as many environments as train together, in one picture."""
+    """Draw F4, as many environments as train together, in one picture."""
     scenes = [(f"agent {i + 1}", sample_scene(first_seed + i)) for i in range(count)]
     return picture_grid(first_pictures(scenes), columns=4)
 
 
 def grounds(count: int = 4, first_seed: int = 0) -> Figure:
-    """Unstructured ground: level, then rough from gentle to steep, with rocks."""
+    """Draw unstructured ground: level, then rough from gentle to steep, with rocks."""
     drawn = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
     level = next(scene for scene in drawn if not scene.terrain.rough)
     rough = sorted((scene for scene in drawn if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
@@ -51,19 +52,16 @@ def grounds(count: int = 4, first_seed: int = 0) -> Figure:
 
 
 def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> NDArray[np.uint8]:
-    """F2 as a picture: targets, mark points and the distances that the rewards are made of, (height, width, 3)."""
-    studio = Studio()
-    try:
-        camera = scene_camera(episode.scene, size)
+    """Return F2 as a picture, (height, width, 3): targets, mark points and the distances that rewards are made of."""
+    camera = scene_camera(episode.scene, size)
+    with closing(Studio()) as studio:
         return draw_overlay(studio.picture(episode, camera), episode, camera)
-    finally:
-        studio.close()
 
 
 def first_pictures(
     scenes: Sequence[tuple[str, Scene]], turn: float = TURN, astronaut: bool = False, size: tuple[int, int] = (320, 240)
 ) -> list[tuple[str, NDArray[np.uint8]]]:
-    """A picture of the beginning of each scene, with the titles that came with them.
+    """Return a picture of the beginning of each scene, with the titles that came with them.
 
     Args:
         scenes: Titles and scenes.
@@ -71,9 +69,8 @@ def first_pictures(
         astronaut: Whether the camera looks at the astronaut, and not between them and the robot.
         size: Width and height [px].
     """
-    env, studio = LunarRescueEnv(), Studio()
     pictures = []
-    try:
+    with closing(LunarRescueEnv()) as env, closing(Studio()) as studio:
         for title, scene in scenes:
             env.reset(options={"scene": scene})
             camera = scene_camera(scene, size, turn)
@@ -81,14 +78,11 @@ def first_pictures(
                 place = (scene.astronaut_x, scene.astronaut_y, 0.30)
                 camera = dataclasses.replace(camera, target=place, distance=0.85 * camera.distance)
             pictures.append((title, studio.picture(env.episode, camera)))
-    finally:
-        env.close()
-        studio.close()
     return pictures
 
 
 def picture_grid(pictures: Sequence[tuple[str, NDArray[np.uint8]]], columns: int) -> Figure:
-    """Pictures with titles in a grid."""
+    """Draw pictures with their titles in a grid."""
     rows = -(-len(pictures) // columns)
     figure, axes = plt.subplots(rows, columns, figsize=(3.0 * columns, 2.5 * rows), layout="constrained", squeeze=False)
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0, hspace=0)  # type: ignore[union-attr, call-arg]
@@ -101,35 +95,32 @@ def picture_grid(pictures: Sequence[tuple[str, NDArray[np.uint8]]], columns: int
 
 
 def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
-    """P5: each term of Eq. 2 over its argument."""
+    """Draw P5, each term of Eq. 2 over its argument."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
-    change = np.linspace(-0.5, 0.5, 201)
+    change, distance = np.linspace(-0.5, 0.5, 201), np.linspace(0.01, 1.0, 200)
+    moved, steps = np.linspace(0, 1.6, 50), np.arange(0, max_steps + 1)
     for form in ("literal", "signed"):
-        values = [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change]
-        axes[0, 0].plot(change, values, label=form)
-    axes[0, 0].set(title="approach", xlabel="D_m - D [m]", ylabel="reward")
+        axes[0, 0].plot(
+            change, [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change], label=form
+        )
     axes[0, 0].legend()
-    distance = np.linspace(0.01, 1.0, 200)
-    field = [rewards.obstacle_avoidance(np.array([d]), rho=weights.rho, xi=weights.xi) for d in distance]
-    axes[0, 1].plot(distance, field)
-    axes[0, 1].set(title="obstacle avoidance (AAPF), one joint and one mark", xlabel="D [m]", ylabel="reward")
-    moved = np.linspace(0, 1.6, 50)
-    axes[1, 0].plot(moved, [rewards.joint_motion(np.array([m]), varphi=weights.varphi) for m in moved])
-    axes[1, 0].set(title="joint motion", xlabel="sum of |joint changes| in a step [rad]", ylabel="reward")
-    steps = np.arange(0, max_steps + 1)
+    axes[0, 1].plot(distance, [rewards.obstacle_avoidance(d[None], rho=weights.rho, xi=weights.xi) for d in distance])
+    axes[1, 0].plot(moved, [rewards.joint_motion(m[None], varphi=weights.varphi) for m in moved])
     axes[1, 1].plot(steps, [weights.time_bonus * rewards.time_bonus(int(s), max_steps) for s in steps])
-    axes[1, 1].set(title="time bonus at completion", xlabel="steps", ylabel="reward", ylim=(0, None))
+    labels = {
+        "approach": "D_m - D [m]",
+        "obstacle avoidance (AAPF), one joint and one mark": "D [m]",
+        "joint motion": "sum of |joint changes| in a step [rad]",
+        "time bonus at completion": "steps",
+    }
+    for axis, (title, label) in zip(axes.flat, labels.items(), strict=True):
+        axis.set(title=title, xlabel=label, ylabel="reward")
+    axes[1, 1].set(ylim=(0, None))
     return figure
 
 
-def ground_grid(scene: Scene, half: float = 1.3, cells: int = 121) -> tuple[Array, Array]:
-    """Grid of the ground round the astronaut, (cells, cells) each [m]."""
-    line = np.linspace(-half, half, cells)
-    return np.meshgrid(scene.astronaut_x + line, scene.astronaut_y + line)
-
-
 def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, height: float = 0.05) -> Figure:
-    """F2: the AAPF term of one point moved over the ground, with joints, mark points and the body.
+    """Draw F2, the AAPF term of one point moved over the ground, with joints, mark points and the body.
 
     Args:
         scene: With at least one rock.
@@ -138,7 +129,8 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
         height: Of the moved point above the ground [m].
     """
     marks = rock_marks(scene.rocks)
-    x, y = ground_grid(scene)
+    line = np.linspace(-1.3, 1.3, 121)  # m, round the astronaut
+    x, y = np.meshgrid(scene.astronaut_x + line, scene.astronaut_y + line)
     points = np.stack([x, y, np.full_like(x, height)], axis=-1)
     distances = np.linalg.norm(points[:, :, None, :] - marks, axis=-1) + 1e-3
     field = -weights.rho * np.log((weights.xi / distances).sum(axis=-1) + 1.0)
@@ -148,17 +140,15 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
     body = body_surface(scene)
     axis.scatter(body[::5, 0], body[::5, 1], s=1, color="white", alpha=0.25, label="astronaut")
     axis.scatter(marks[:, 0], marks[:, 1], marker="x", color="cyan", label="mark points")
-    for arm, colour in ((joints[:6], "tab:blue"), (joints[6:], "tab:orange")):
-        axis.plot(*arm[:, :2].T, "o-", color=colour)
-    axis.plot([], [], "o-", color="tab:blue", label="arm A: joints and end")
-    axis.plot([], [], "o-", color="tab:orange", label="arm B: joints and end")
+    for name, arm, colour in (("A", joints[:6], "tab:blue"), ("B", joints[6:], "tab:orange")):
+        axis.plot(*arm[:, :2].T, "o-", color=colour, label=f"arm {name}: joints and end")
     axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="AAPF over the ground")
     axis.legend(loc="upper right", fontsize=8, labelcolor="black", facecolor="white", framealpha=0.8)
     return figure
 
 
 def aapf_against_contact(weights: rewards.RewardWeights, radius: float = 0.1) -> Figure:
-    """The dense AAPF term beside the contact reward as a joint nears a rock of this radius [m]."""
+    """Draw the dense AAPF term beside the contact reward as a joint nears a rock of this radius [m]."""
     gap = np.linspace(-0.02, 0.8, 300)
     dense = [rewards.obstacle_avoidance(np.array([max(g + radius, 1e-3)]), rho=weights.rho, xi=weights.xi) for g in gap]
     sparse = [weights.contact * rewards.contact(bool(g <= 0)) for g in gap]
@@ -172,56 +162,47 @@ def aapf_against_contact(weights: rewards.RewardWeights, radius: float = 0.1) ->
 
 
 def dwelling_against_finishing(table: pd.DataFrame) -> Figure:
-    """Discounted return of dwelling and of finishing over the step of completion, both forms."""
+    """Draw the discounted return of dwelling and of finishing over the step of completion, both forms."""
     grid = sns.relplot(data=table, x="finish after", y="return", hue="behaviour", col="form", kind="line", height=4)
     grid.set_axis_labels("steps until the task is completed", "discounted return")
     return grid.figure
 
 
 def learning_curves(table: pd.DataFrame, columns: dict[str, str], title: str = "") -> Figure:
-    """Curves of one run over env steps, one panel a column (name to label)."""
+    """Draw curves of one run over env steps, one panel a column (name to label)."""
     figure, axes = plt.subplots(1, len(columns), figsize=(4.4 * len(columns), 3.6), layout="constrained", squeeze=False)
     for axis, (column, label) in zip(axes.flat, columns.items(), strict=True):
         axis.plot(table["env_steps"], table[column], alpha=0.3)
-        axis.plot(table["env_steps"], table[column].rolling(SMOOTHING, min_periods=1).mean(), color="C0")
+        axis.plot(table["env_steps"], smooth(table[column]), color="C0")
         axis.set(xlabel="env steps, all agents", title=label)
     figure.suptitle(title)
     return figure
 
 
 def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: str = "env_steps") -> Figure:
-    """F6: one column of several methods against env steps or minutes."""
+    """Draw F6, one column of several methods against env steps or minutes."""
     figure, axis = plt.subplots(figsize=(8, 4.5), layout="constrained")
     for name, table in curves.items():
         x = table["env_steps"] if by == "env_steps" else table["seconds"] / 60
-        axis.plot(x, table[column].rolling(SMOOTHING, min_periods=1).mean(), label=name)
+        axis.plot(x, smooth(table[column]), label=name)
     axis.set(xlabel="env steps, all agents" if by == "env_steps" else "minutes", ylabel=label)
     axis.legend()
     return figure
 
 
-def success_by_posture(evaluations: dict[str, dict[str, dict[str, int]]]) -> Figure:
-    """Heat map of success over postures and tasks (rows) and methods (columns).
+def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
+    """Draw a heat map of success [%] over postures and tasks, a column an evaluation.
 
     Args:
-        evaluations: By column, what an evaluation has as ``by_posture_and_task``.
+        tested: Rows of each evaluation, by the title of its column.
     """
-    rates = pd.DataFrame(
-        {m: {p: c["successes"] / c["tests"] for p, c in counts.items()} for m, counts in evaluations.items()}
-    )
-    known = [f"{name} {task}" for name, posture in all_postures().items() for task in posture.tasks]
-    rates = rates.reindex([key for key in known if key in rates.index])
-    rates.index = rates.index.str.replace("_", " ")
+    rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
+    known = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
+    rates = 100 * rates.reindex([pair for pair in known if pair in rates.index])
+    rates.index = pd.Index([f"{posture} {task}".replace("_", " ") for posture, task in rates.index])
     figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(
-        100 * rates,
-        annot=True,
-        fmt=".0f",
-        vmin=0,
-        vmax=100,
-        cmap="viridis",
-        cbar_kws={"label": "success [%]"},
-        ax=axis,
-    )
-    axis.set(xlabel="", ylabel="")
+        rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
+        annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
+    )  # fmt: skip
     return figure

@@ -1,4 +1,4 @@
-"""What the approach term rewards, in exact numbers: dwelling, finishing, wandering and giving up (READING of Eq. 2)."""
+"""Compute what the approach term rewards: dwelling, finishing, wandering and giving up (READING of Eq. 2)."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from lunar_rescue.rewards import ApproachForm, approach, time_bonus
 
 
 def discounted(per_step: float, steps: int, gamma: float) -> float:
-    """Sum of ``steps`` equal rewards, discounted: per_step (1 - gamma^steps) / (1 - gamma)."""
+    """Return the sum of ``steps`` equal rewards, discounted: per_step (1 - gamma^steps) / (1 - gamma)."""
     if gamma == 1.0:
         return per_step * steps
     return per_step * (1.0 - gamma**steps) / (1.0 - gamma)
 
 
 def dwelling(form: ApproachForm, beta: float, gamma: float, max_steps: int) -> float:
-    """Return of standing still at the best distance until the step limit."""
+    """Compute the return of standing still at the best distance until the step limit."""
     return discounted(approach(1.0, 1.0, beta=beta, form=form), max_steps, gamma)
 
 
 def finishing(form: ApproachForm, beta: float, gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
-    """Return of standing still and completing the task in step ``after``, with ``factor`` times Eq. 2's time bonus."""
+    """Compute the return of standing still and completing the task in step ``after``, its time bonus times a factor."""
     waiting = discounted(approach(1.0, 1.0, beta=beta, form=form), after, gamma)
     return waiting + gamma ** (after - 1) * factor * time_bonus(after, max_steps)
 
 
 def wandering(form: ApproachForm, beta: float, gamma: float, steps: int, away: float) -> float:
-    """Return of staying ``away`` metres from the best distance of the whole episode for so many steps."""
+    """Compute the return of staying ``away`` metres from the best distance of the whole episode for so many steps."""
     return discounted(approach(1.0, 1.0 + away, beta=beta, form=form), steps, gamma)
 
 
 def dwelling_table(beta: float, gamma: float, max_steps: int, factor: float = 1.0, every: int = 5) -> pd.DataFrame:
-    """Rows form, behaviour, step of completion and return, for the figure."""
+    """Return rows with form, behaviour, step of completion and return, for the figure."""
     rows = []
     forms: tuple[ApproachForm, ...] = ("literal", "signed")
     for form in forms:
@@ -44,6 +44,6 @@ def dwelling_table(beta: float, gamma: float, max_steps: int, factor: float = 1.
 
 
 def largest_honest_beta(gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
-    """Largest beta at which, with the literal form, finishing in step ``after`` still beats dwelling to the limit."""
+    """Return the largest beta at which finishing in step ``after`` beats dwelling to the limit in the literal form."""
     lost = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
     return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / lost

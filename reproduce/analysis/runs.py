@@ -1,77 +1,197 @@
-"""What lies in results/: reference runs, their curves and evaluations."""
+"""Read the evidence in results/, reference runs with their curves and evaluations, and refuse what is not sound."""
 
 from __future__ import annotations
 
+import filecmp
+import math
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from pydantic import ConfigDict, NonNegativeFloat, NonNegativeInt, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict
 
+from lunar_rescue import ENVIRONMENT_VERSION
+from lunar_rescue.scenes.splits import split_of
+from reproduce.experiments.evaluations import EVALUATIONS
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.rows import read_rows, summarise
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import REFERENCE, RESULTS
 
+_STRICT = with_config(ConfigDict(strict=True, allow_inf_nan=False))
+
+
+@_STRICT
+class _Origin(TypedDict):
+    command: str
+    environment_version: str
+
+
+@_STRICT
+class _Training(_Origin):
+    method: str
+    seed: NonNegativeInt
+    steps: NonNegativeInt
+    seconds: NonNegativeFloat
+
+
+@_STRICT
+class _Summary(TypedDict):
+    method: str
+    seconds: NonNegativeFloat
+    seconds_per_test: NonNegativeFloat
+    origin: _Origin
+
 
 @dataclass(frozen=True)
 class Run:
-    """One reference run.
+    """One reference run; its evaluations are read and checked when one is first asked for.
 
     Attributes:
         method: Name in the registry.
         seed: Training seed.
         folder: Where it lies.
-        evaluation: ``evaluation.json``, or None.
-        origin: ``run.json``, or None for a method that does not learn.
+        origin: ``run.json``, or None without a training.
     """
 
     method: str
     seed: int
     folder: Path
-    evaluation: dict[str, Any] | None
     origin: dict[str, Any] | None
 
     @property
+    def label(self) -> str:
+        """Return method and seed, as tables and figures name the run."""
+        return f"{self.method} seed {self.seed}"
+
+    @property
     def env_steps(self) -> int:
-        """Environment steps of the training; 0 without one."""
-        return int(self.origin["steps"]) if self.origin else 0
+        """Return the environment steps of the training; 0 without one."""
+        return self.origin["steps"] if self.origin else 0
 
     @property
     def minutes(self) -> float:
-        """Minutes of the training; 0 without one."""
-        return float(self.origin["seconds"]) / 60 if self.origin else 0.0
+        """Return the minutes of the training; 0 without one."""
+        return self.origin["seconds"] / 60 if self.origin else 0.0
 
-    def other(self, name: str) -> dict[str, Any] | None:
-        """Another evaluation of the run, such as ``heldout`` or an ablation, or None."""
-        path = self.folder / f"{name}.json"
-        return read_json(path, "evaluation") if path.is_file() else None
+    @cached_property
+    def _evaluations(self) -> dict[str, tuple[dict[str, Any], pd.DataFrame]]:
+        files = {name: self.folder / f"{name}.json" for name in EVALUATIONS}
+        return {name: read_evaluation(path, self.method) for name, path in files.items() if path.is_file()}
+
+    @property
+    def evaluation(self) -> dict[str, Any] | None:
+        """Return the summary of ``evaluation.json``, or None."""
+        return self.summary("evaluation")
+
+    def summary(self, name: str) -> dict[str, Any] | None:
+        """Return the summary of an evaluation, such as ``heldout`` or an ablation, or None."""
+        return self._evaluations[name][0] if name in self._evaluations else None
+
+    def rows(self, name: str = "evaluation") -> pd.DataFrame | None:
+        """Return an evaluation's rows, a scene each with the columns of ``SceneRow``, or None."""
+        return self._evaluations[name][1] if name in self._evaluations else None
 
     def curve(self) -> pd.DataFrame | None:
-        """``progress.csv``, or None."""
+        """Return ``progress.csv``, or None.
+
+        Raises:
+            UserError: Where it is no table of env steps and returns.
+        """
         path = self.folder / "progress.csv"
-        return pd.read_csv(path) if path.is_file() else None
+        try:
+            curve = pd.read_csv(path)
+            sound = len(curve) > 0 and np.isfinite(curve[["env_steps", "return_high"]].to_numpy(dtype=float)).all()
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError) as error:
+            raise UserError(f"{path}: learning curve: not readable: {error}") from None
+        if not sound:
+            raise UserError(f"{path}: learning curve: expected rows with finite env_steps and return_high")
+        return curve
+
+
+def read_evaluation(path: Path, method: str) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Read an evaluation of a method and return its summary and its rows.
+
+    Args:
+        path: ``NAME.json``, with ``NAME.csv`` beside it and NAME in ``EVALUATIONS``.
+        method: Name in the registry.
+
+    Raises:
+        UserError: Where it is another method's, split's, ablation's or environment's, an easy one, or its summary is
+            not that of its rows.
+    """
+    summary, rows, plan = (
+        _read(path, "evaluation", _Summary),
+        read_rows(path.with_suffix(".csv")),
+        EVALUATIONS[path.stem],
+    )
+    expected = {"method": method, "ablation": plan.ablation, "scenes": None, "split": split_of(plan.first_seed)}
+    _expect(path, expected, summary)
+    _expect(path, {"environment_version": ENVIRONMENT_VERSION}, summary["origin"])
+    for key, value in summarise(rows).items():
+        told = summary.get(key)
+        if isinstance(value, float) and isinstance(told, int | float):
+            same = math.isclose(told, value, rel_tol=1e-9)
+        else:
+            same = told == value
+        if not same:
+            raise UserError(f"{path}: {key}: expected {value}, as {path.stem}.csv has it, got {told!r}")
+    return summary, rows
+
+
+def _read(path: Path, what: str, kind: type) -> dict[str, Any]:
+    raw = read_json(path, what)
+    try:
+        TypeAdapter(kind).validate_python(raw)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = "".join(f"{place}: " for place in fault["loc"])
+        raise UserError(f"{path}: {what}: {where}{fault['msg']}, got {fault['input']!r:.80}") from None
+    return dict(raw)
+
+
+def _expect(path: Path, expected: dict[str, Any], found: dict[str, Any]) -> None:
+    for key, value in expected.items():
+        if found.get(key) != value:
+            wanted = "none" if value is None else value
+            raise UserError(f"{path}: {key}: expected {wanted}, got {found.get(key, 'none')!r}")
 
 
 def reference_runs(results: Path = RESULTS, kind: str = REFERENCE) -> list[Run]:
-    """All runs of a kind, ``REFERENCE`` or ``EASY``, ordered by method and seed."""
-    runs = []
-    for folder in sorted((results / kind).glob("*/seed*")):
-        number = folder.name.removeprefix("seed")
-        if not number.isdigit():
-            raise UserError(f"{folder}: expected a folder name seedK with a number K")
-        evaluation, origin = folder / "evaluation.json", folder / "run.json"
-        runs.append(
-            Run(
-                folder.parent.name,
-                int(number),
-                folder,
-                read_json(evaluation, "evaluation") if evaluation.is_file() else None,
-                read_json(origin, "run description") if origin.is_file() else None,
-            )
-        )
-    return runs
+    """Return all runs of a kind, ``REFERENCE`` or ``EASY``, ordered by method and seed.
+
+    Raises:
+        UserError: Where a folder or the description in it is another run's, or two runs have the same weights.
+    """
+    runs = [_run(folder) for folder in sorted((results / kind).glob("*/seed*"))]
+    weights = [path for run in runs if (path := run.folder / "policy.safetensors").is_file()]
+    for first, second in combinations(weights, 2):
+        if filecmp.cmp(first, second, shallow=False):
+            raise UserError(f"{second}: expected a training's own weights, got those of {first}")
+    return sorted(runs, key=lambda run: (run.method, run.seed))
+
+
+def _run(folder: Path) -> Run:
+    method, number, path = folder.parent.name, folder.name.removeprefix("seed"), folder / "run.json"
+    if method not in METHODS:
+        raise UserError(f"{folder.parent}: expected a folder named for one of {', '.join(METHODS)}")
+    if not number.isdigit():
+        raise UserError(f"{folder}: expected a folder name seedK with a number K")
+    origin = _read(path, "run description", _Training) if path.is_file() else None
+    if origin:
+        expected = {"method": method, "seed": int(number), "environment_version": ENVIRONMENT_VERSION}
+        _expect(path, expected, origin)
+    return Run(method, int(number), folder, origin)
 
 
 def runs_of(method: str, results: Path = RESULTS) -> list[Run]:
-    """Reference runs of one method that were evaluated."""
+    """Return the reference runs of one method that were evaluated."""
     return [run for run in reference_runs(results) if run.method == method and run.evaluation is not None]

@@ -5,19 +5,21 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import pandas as pd
 
 from reproduce.experiments.methods import METHODS
-from reproduce.learning.config import PRESETS, TrainingConfig
+from reproduce.learning.config import TrainingConfig
 
 #: What parts of a configuration are called in tables.
 TITLES = {
     "low": "learner (of two layers: LLN)",
     "high": "SGN's learner",
     "hierarchy": "two layers",
+    "anchors": "anchors of sub-goals",
+    "acting": "anchors of a trained policy",
     "fun": "Manager and Worker",
     "sac": "SAC",
     "reward": "reward",
@@ -43,19 +45,35 @@ def settings_table(preset: str) -> pd.DataFrame:
         preset: Name of a preset.
     """
     learning = {name: method.config(preset) for name, method in METHODS.items() if method.train is not None}
-    rows: list[dict[str, Any]] = []
-    about = notes(TrainingConfig)
-    for field in fields(TrainingConfig):
+    columns = {name: _settings(config) for name, config in learning.items()}
+    order = ["training", *TITLES.values()]
+    rows = {row: note for column in columns.values() for row, (_, note) in column.items()}
+    table = [
+        {
+            "of": row[0],
+            "setting": row[1],
+            **{name: column[row][0] if row in column else "" for name, column in columns.items()},
+            "where from": rows[row],
+        }
+        for row in sorted(rows, key=lambda row: order.index(row[0]))
+    ]
+    return pd.DataFrame(table).set_index(["of", "setting"])
+
+
+def _settings(config: TrainingConfig) -> dict[tuple[str, str], tuple[Any, str]]:
+    """Return value and note of each setting of a configuration, by the title of its part and its name."""
+    found: dict[tuple[str, str], tuple[Any, str]] = {}
+    about = {
+        name: note
+        for kind in reversed(type(config).__mro__)
+        if is_dataclass(kind)
+        for name, note in notes(kind).items()
+    }
+    for field in fields(config):
+        value = getattr(config, field.name)
         if field.name not in TITLES:
-            values = {name: getattr(config, field.name) for name, config in learning.items()}
-            rows.append({"of": "training", "setting": field.name, **values, "where from": about[field.name]})
-    for part, title in TITLES.items():
-        kind = type(getattr(PRESETS[preset], part))
-        about = notes(kind)
-        for field in fields(kind):
-            values = {
-                name: getattr(getattr(config, part), field.name) if part in METHODS[name].parts else ""
-                for name, config in learning.items()
-            }
-            rows.append({"of": title, "setting": field.name, **values, "where from": about[field.name]})
-    return pd.DataFrame(rows).set_index(["of", "setting"])
+            found["training", field.name] = value, about[field.name]
+            continue
+        own = notes(type(value))
+        found |= {(TITLES[field.name], f.name): (getattr(value, f.name), own[f.name]) for f in fields(value)}
+    return found

@@ -1,83 +1,80 @@
-"""Table 1, ours beside the paper's, from the reference runs."""
+"""Make Table 1, ours beside the paper's, and further tables, from the rows of the reference runs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from lunar_rescue.scenes.postures import all_postures
-from reproduce.analysis.intervals import mean_interval, paired_difference, same_scenes, wilson
+from lunar_rescue.scenes.scene import MASS_RANGE
+from reproduce.analysis.intervals import mean_interval, paired_difference, same_scenes
 from reproduce.analysis.runs import Run, reference_runs
+from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
-from reproduce.storage.files import read_json, write_atomically
+from reproduce.experiments.rows import wilson
+from reproduce.storage.files import write_atomically
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.provenance import record_origin
 
-COLUMNS = [
-    "method", "seed", "env_steps", "minutes", "tests", "successes", "success_rate", "wilson_low", "wilson_high",
-    "paper_success_rate",
-]  # fmt: skip
-
-
-#: Files of a run folder that are no evaluations.
-NOT_EVALUATIONS = ("config", "policy", "run")
+COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
+COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
+SPLIT_TITLES = {"test": "evaluation", "held out": "heldout"}
+MASS_CLASSES = 3  # equal parts of the range of masses
 
 
 def table1(results: Path = RESULTS) -> pd.DataFrame:
-    """A row a method and seed that was evaluated."""
-    rows = []
-    for run in reference_runs(results):
-        if run.evaluation is None:
-            continue
-        counts = {k: run.evaluation[k] for k in ("tests", "successes", "success_rate", "wilson_low", "wilson_high")}
-        paper = METHODS[run.method].paper_success if run.method in METHODS else None
-        origin = {
-            "method": run.method,
+    """Return a row a method and seed that was evaluated, with the columns ``COLUMNS``."""
+    rows = [
+        {
             "seed": run.seed,
             "env_steps": run.env_steps,
             "minutes": round(run.minutes, 1),
+            "paper_success_rate": METHODS[run.method].paper_success,
+            **run.evaluation,
         }
-        rows.append({**origin, **counts, "paper_success_rate": paper})
+        for run in reference_runs(results)
+        if run.evaluation
+    ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
-    """Table 1 for people: every method, saying where there is no run."""
-    table = table1(results)
-    held_out = {(run.method, run.seed): run.other("heldout") for run in reference_runs(results)}
-    titles = {name: (m.title, m.paper_success) for name, m in METHODS.items()}
-    rows = []
-    for name, (title, paper) in titles.items():
-        mine = table[table["method"] == name].to_dict("records")
-        held = [held_out[name, r["seed"]] for r in mine]
+    """Return Table 1 for people: every method, saying where there is no run."""
+    runs, rows = [run for run in reference_runs(results) if run.evaluation], []
+    for name, method in METHODS.items():
+        mine = [run for run in runs if run.method == name]
         rows.append(
             {
-                "method": title,
-                "paper, 1000 tests": _percent(paper) if paper else "-",
-                "ours, success [95 % interval]": ", ".join(_success(r) for r in mine) or "no run in results/ yet",
-                "held out": ", ".join("-" if found is None else _success(found) for found in held),
-                "tests": ", ".join(str(r["tests"]) for r in mine),
-                "env steps": ", ".join(f"{r['env_steps']:,}" for r in mine),
-                "minutes": ", ".join(f"{r['minutes']:.0f}" for r in mine),
+                "method": method.title,
+                "paper, 1000 tests": _percent(method.paper_success) if method.paper_success else "-",
+                "ours, success [95 % interval]": _listed(_success(run.evaluation) for run in mine)
+                or "no run in results/ yet",
+                "held out": _listed(_success(run.summary("heldout")) for run in mine),
+                "tests": _listed(str(run.evaluation["tests"]) for run in mine if run.evaluation),
+                "env steps": _listed(f"{run.env_steps:,}" for run in mine),
+                "minutes": _listed(f"{run.minutes:.0f}" for run in mine),
             }
         )
     return pd.DataFrame(rows)
 
 
+_listed = ", ".join
+
+
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table as Markdown."""
+    """Return a table as Markdown, a line a row."""
     cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in [head, *rows]]
     lines = ["| " + " | ".join(row) + " |" for row in cells]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
 
 
-def _success(found: Mapping[Any, Any]) -> str:
-    rates = (_percent(found[key]) for key in ("success_rate", "wilson_low", "wilson_high"))
-    return "{} [{}, {}]".format(*rates)
+def _success(summary: dict[str, Any] | None) -> str:
+    return "{} [{}, {}]".format(*(_percent(summary[key]) for key in COUNTS[2:])) if summary else "-"
 
 
 def _percent(rate: float) -> str:
@@ -85,48 +82,43 @@ def _percent(rate: float) -> str:
 
 
 def write_table1(results: Path = RESULTS) -> Path:
-    """Write ``table1.csv``."""
-    path = results / "table1.csv"
-    table = table1(results)
-    write_atomically(path, lambda temporary: table.to_csv(temporary, index=False))
-    record_origin(path)
-    return path
+    """Write ``table1.csv`` and return its path."""
+    return _write(table1(results), results / "table1.csv")
 
 
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
-    """How much more often ``to`` rescues than each other run, on the same scenes, with intervals.
+    """Return how much more often ``to`` rescues than each other run, on the same scenes, with intervals.
 
     Args:
         results: Folder of results.
         to: Method that is compared with the others, its first seed.
         name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    rows = [(f"{to} - {run.method} seed {run.seed}", tests, *told) for run, tests, told in _paired(results, to, name)]
+    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _paired(results, to, name)]
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
 
 
 def _paired(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
-    """Runs of other methods that met the same scenes, how many, and the difference with its interval."""
-    found = [(run, run.other(name)) for run in reference_runs(results)]
-    tested = [(run, value) for run, value in found if value is not None and value.get("outcomes")]
-    chosen = next((value for run, value in tested if run.method == to), None)
+    """Return runs of other methods that met the same scenes, how many, and the difference with its interval."""
+    tested = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
+    chosen = next((rows for run, rows in tested if run.method == to), None)
     return [
-        (run, other["tests"], paired_difference(chosen["outcomes"], other["outcomes"]))
-        for run, other in tested
-        if chosen is not None and run.method != to and same_scenes(chosen, other)
+        (run, len(rows), paired_difference(chosen["success"], rows["success"]))
+        for run, rows in tested
+        if chosen is not None and run.method != to and same_scenes(chosen, rows)
     ]
 
 
 def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.DataFrame:
-    """Paired differences for people, in points, on test scenes and on held-out ones."""
+    """Return paired differences for people, in points, on test scenes and on held-out ones."""
     columns = {
         title: {
             f"{METHODS[run.method].title}, seed {run.seed}": "{:+.1f} [{:+.1f}, {:+.1f}]".format(
-                *(100 * value for value in told)
+                *(100 * value for value in difference)
             )
-            for run, _, told in _paired(results, to, name)
+            for run, _, difference in _paired(results, to, name)
         }
-        for title, name in (("test", "evaluation"), ("held out", "heldout"))
+        for title, name in SPLIT_TITLES.items()
     }
     table = pd.DataFrame(columns, dtype=object).fillna("-")
     return table.rename_axis(f"{METHODS[to].title} minus").reset_index()
@@ -135,7 +127,7 @@ def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.Dat
 def nearest_to_rocks(
     results: Path = RESULTS, first: str = "hrl_dcs", second: str = "hrl_dcs_no_aapf", name: str = "evaluation"
 ) -> pd.DataFrame:
-    """How near two methods' joints come to rocks: means over the scenes that have any, and the paired difference [m].
+    """Return how near two methods' joints come to rocks: means over scenes with rocks, and the paired difference [m].
 
     Args:
         results: Folder of results.
@@ -143,127 +135,97 @@ def nearest_to_rocks(
         second: Method, its first seed.
         name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    found = []
-    for method in (first, second):
-        told = [run.other(name) for run in reference_runs(results) if run.method == method]
-        found.append(next((t for t in told if t is not None and "nearest_mark" in t), None))
-    one, other = found
+    runs = {run.method: run.rows(name) for run in reversed(reference_runs(results))}  # the first seed stays
+    ours, theirs = runs.get(first), runs.get(second)
+    values = {}
+    if ours is not None and theirs is not None and same_scenes(ours, theirs):
+        near = pd.DataFrame({first: ours["nearest_mark"], second: theirs["nearest_mark"]}).dropna()
+        values = {first: near[first], second: near[second], f"{first} - {second}": near[first] - near[second]}
+    rows = [(key, len(value), *mean_interval(value)) for key, value in values.items()]
     columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
-    if one is None or other is None or not same_scenes(one, other):
-        return pd.DataFrame(columns=columns).set_index(columns[0])
-    pairs = [
-        (a, b)
-        for a, b in zip(one["nearest_mark"], other["nearest_mark"], strict=True)
-        if a is not None and b is not None
-    ]
-    ours, theirs = ([pair[i] for pair in pairs] for i in (0, 1))
-    rows = [
-        (first, len(pairs), *mean_interval(ours)),
-        (second, len(pairs), *mean_interval(theirs)),
-        (f"{first} - {second}", len(pairs), *mean_interval([a - b for a, b in pairs])),
-    ]
     return pd.DataFrame(rows, columns=columns).set_index(columns[0])
 
 
-#: Key of an evaluation and what its groups are.
-CONDITIONS = {
-    "by_task": "task",
-    "by_terrain": "ground",
-    "by_mass_class": "mass",
-    "by_rocks": "rocks",
-    "by_posture": "posture",
-}
+def mass_classes(masses: pd.Series[float]) -> pd.Series[str]:
+    """Return the third of the mass range that each mass [kg] lies in, in words."""
+    edges = np.linspace(*MASS_RANGE, MASS_CLASSES + 1)
+    words = [f"{low:.0f} to {high:.0f} kg" for low, high in pairwise(edges)]
+    return pd.cut(masses, [*edges[:-1], np.inf], right=False, labels=words).astype(str)
 
 
-def by_condition(evaluation: dict[str, Any]) -> pd.DataFrame:
-    """Success by task, ground, mass, number of rocks and posture, with intervals."""
-    rows = []
-    for key, title in CONDITIONS.items():
-        for name, counts in evaluation.get(key, {}).items():
-            low, high = wilson(counts["successes"], counts["tests"])
-            rate = counts["successes"] / counts["tests"]
-            rows.append((title, name, counts["tests"], rate, low, high))
-    return pd.DataFrame(rows, columns=["of", "which", "tests", "success", "low", "high"]).set_index(["of", "which"])
+def by_condition(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return success by task, ground, mass, number of rocks and posture, with intervals, from an evaluation's rows."""
+    conditions = {
+        "task": rows["task"],
+        "ground": rows["terrain"],
+        "mass": mass_classes(rows["mass"]),
+        "rocks": rows["rocks"].astype(str),
+        "posture": rows["posture"],
+    }
+    counts = pd.concat(
+        {title: rows.groupby(which)["success"].agg(["size", "sum"]) for title, which in conditions.items()},
+        names=["of", "which"],
+    )
+    cells = [(size, total / size, *wilson(total, size)) for size, total in counts.itertuples(index=False)]
+    return pd.DataFrame(cells, index=counts.index, columns=["tests", "success", "low", "high"])
 
 
 def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFrame:
-    """Success of every run by task and how the body lies, in words: share and number of tests.
+    """Return the success of every run by task and how the body lies, in words: share and number of tests.
 
     Args:
         name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
         results: Folder of results.
     """
-    known, columns = all_postures(), {}
+    columns = {}
     for run in reference_runs(results):
-        counts: dict[str, list[int]] = {}
-        for key, group in ((run.other(name) or {}).get("by_posture_and_task") or {}).items():
-            posture, task = key.split(" ")
-            lies = known[posture].attitude.removeprefix("left_").removeprefix("right_")
-            mine = counts.setdefault(f"{task} {lies}".replace("_", " "), [0, 0])
-            mine[0] += group["successes"]
-            mine[1] += group["tests"]
-        if counts:
-            columns[f"{run.method} seed {run.seed}"] = {
-                group: f"{_percent(successes / tests)} of {tests}"
-                for group, (successes, tests) in sorted(counts.items())
-            }
+        if (rows := run.rows(name)) is not None:
+            lies = rows["attitude"].str.removeprefix("left_").str.removeprefix("right_")
+            groups = rows.groupby((rows["task"] + " " + lies).str.replace("_", " "))["success"]
+            columns[run.label] = groups.agg(lambda found: f"{_percent(found.mean())} of {len(found)}")
     return pd.DataFrame(columns).T
 
 
+#: What the evaluations of a two-layer policy are called in the table of its layers.
+LAYERS = {
+    "both_layers": "both layers, as trained",
+    "fixed_target": "SGN replaced by the target areas",
+    "anchors_alone": "SGN silent: the next point of the way in",
+    "untrained_lln": "LLN untrained",
+}
+
+
 def layers(run: Run) -> pd.DataFrame:
-    """What each layer adds: the trained policy with one layer put out of action, on the same scenes."""
-    titles = {
-        "fixed_target": "SGN replaced by the target areas",
-        "anchors_alone": "SGN silent: the next point of the way in",
-        "untrained_lln": "LLN untrained",
-    }
-    rows = []
-    for name, title in {"both_layers": "both layers, as trained", **titles}.items():
-        found = run.other(name)
-        if found is not None:
-            rate, low, high = (found[key] for key in ("success_rate", "wilson_low", "wilson_high"))
-            rows.append((title, found["tests"], found["both_arms_under"], rate, low, high))
+    """Return what each layer adds: the trained policy with one layer put out of action, on the same scenes."""
+    keys = ["tests", "both_arms_under", *COUNTS[2:]]
+    rows = [(title, *map(summary.get, keys)) for name, title in LAYERS.items() if (summary := run.summary(name))]
     columns = ["policy", "tests", "both arms under", "success", "low", "high"]
     return pd.DataFrame(rows, columns=columns).set_index("policy")
 
 
-def evaluations(results: Path = RESULTS) -> list[tuple[Run, str, dict[str, Any]]]:
-    """Every evaluation of every run: the run, the evaluation's name and what it holds."""
-    found = []
-    for run in reference_runs(results):
-        for path in sorted(run.folder.glob("*.json")):
-            if path.stem not in NOT_EVALUATIONS:
-                found.append((run, path.stem, read_json(path, "evaluation")))
-    return found
-
-
 def write_tables(results: Path = RESULTS) -> list[Path]:
     """Write ``tables/``: what came out, without times, so that the same work gives the same bytes."""
-    success: list[dict[str, Any]] = []
-    groups: list[pd.DataFrame] = []
-    failures: list[dict[str, Any]] = []
-    for run, name, found in evaluations(results):
+    success, conditions, failures = [], [], []
+    for run, name in ((run, name) for run in reference_runs(results) for name in EVALUATIONS):
+        summary, rows = run.summary(name), run.rows(name)
+        if summary is None or rows is None:
+            continue
         key: dict[str, Any] = {"method": run.method, "seed": run.seed, "evaluation": name}
-        kept = ("first_seed", "tests", "successes", "success_rate", "wilson_low", "wilson_high", "both_arms_under")
-        more: dict[str, Any] = {k: found[k] for k in ("mean_return", "mean_steps") if k in found}
-        success.append({**key, "env_steps": run.env_steps, **{k: found[k] for k in kept}, **more})
-        groups.append(by_condition(found).reset_index().assign(**key))
-        failures += [{**key, "failure": word, "tests": count} for word, count in found["failures"].items()]
-    tables: dict[str, pd.DataFrame] = {
+        kept = ["first_seed", *COUNTS, "both_arms_under", "mean_return", "mean_steps"]
+        success.append({**key, "env_steps": run.env_steps, **{k: summary[k] for k in kept}})
+        conditions.append(by_condition(rows).reset_index().assign(**key))
+        failures += [{**key, "failure": word, "tests": count} for word, count in summary["failures"].items()]
+    tables = {
         "success": pd.DataFrame(success),
-        "conditions": pd.concat(groups) if groups else pd.DataFrame(),
+        "conditions": pd.concat(conditions) if conditions else pd.DataFrame(),
         "failures": pd.DataFrame(failures),
         "paired_test": paired_differences(results).reset_index(),
         "paired_heldout": paired_differences(results, name="heldout").reset_index(),
     }
-    written = []
-    for name, table in tables.items():
-        path = results / "tables" / f"{name}.csv"
-        write_atomically(path, partial(_write_csv, table))
-        record_origin(path)
-        written.append(path)
-    return written
+    return [_write(table, results / "tables" / f"{name}.csv") for name, table in tables.items()]
 
 
-def _write_csv(table: pd.DataFrame, path: Path) -> None:
-    table.to_csv(path, index=False)
+def _write(table: pd.DataFrame, path: Path) -> Path:
+    write_atomically(path, partial(table.to_csv, index=False))
+    record_origin(path)
+    return path

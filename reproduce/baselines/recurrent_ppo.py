@@ -2,24 +2,52 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.hrl_dcs.training import make_learner
-from reproduce.learning.config import TrainingConfig
+from reproduce.learning.config import PolicyConfig, RecurrentConfig
 from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.networks import RecurrentNetwork
-from reproduce.learning.training import RecurrentTraining, make_environments
-from reproduce.storage.policies import NetworkSpec
+from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.learning.training import RecurrentTraining, make_environments, make_learner
+from reproduce.storage.policies import load_networks, load_policy_config
 
 LEVEL = "policy"  # name of the one learner, in checkpoints and run folders
+
+
+class FlatPolicy(MirroredPolicy):
+    """One recurrent network, acting every step by its mean."""
+
+    def __init__(self, network: RecurrentNetwork, mirrored: bool = True) -> None:
+        """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
+        super().__init__(mirrored)
+        self._network = network
+
+    def begin(self, count: int) -> None:
+        """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
+        self._memory = Memory(self._network, count)
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """Return the mean outputs (n, JOINTS); see ``MirroredPolicy``."""
+        self._memory.forget(starts)
+        return self._memory.act(observations, np.arange(len(observations)))
+
+
+def load_flat_policy(folder: Path) -> FlatPolicy:
+    """Read the policy of a run folder; see ``load_networks``."""
+    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, NetworkSpec)
+    return FlatPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)
 
 
 class FlatTraining(RecurrentTraining):
     """Trains one recurrent network; an ``update`` is one rollout and one training on it."""
 
-    def __init__(self, config: TrainingConfig, seed: int) -> None:
+    def __init__(self, config: RecurrentConfig, seed: int) -> None:
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
         self.learner = make_learner(env, config.low, seed, bounded_mean=False)

@@ -8,7 +8,7 @@ step of all environments together.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,14 +26,16 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.learning.config import SacConfig, TrainingConfig
+from reproduce.baselines.config import SacConfig, SacTrainingConfig
+from reproduce.learning.config import PolicyConfig
 from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.finite import check_losses
+from reproduce.learning.networks import flat_spaces
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.spaces import flat_spaces
 from reproduce.learning.standardiser import Standardiser, observe_all
-from reproduce.learning.training import CollectedTraining, make_environments
+from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
+from reproduce.storage.policies import Spec, load_networks, load_policy_config
 
 LEVEL = "actor"  # name of the one learner, in checkpoints and run folders
 EACH_STEP = TrainFreq(1, TrainFrequencyUnit.STEP)
@@ -54,19 +56,8 @@ class StandardisedExtractor(BaseFeaturesExtractor):
         return standardised
 
 
-@dataclass(frozen=True)
-class SacSpec:
-    """Sizes, which are all that is needed to build the actor.
-
-    Attributes:
-        observations: Size of the flat observation.
-        actions: Size of the action.
-        hidden_units: Units of each of its two layers.
-    """
-
-    observations: int
-    actions: int
-    hidden_units: int
+class SacSpec(Spec):
+    """Sizes, which are all that is needed to build the actor."""
 
     def build(self) -> Actor:
         """Make an actor of these sizes, not trained."""
@@ -168,21 +159,17 @@ class BusyEpisodeLog(EpisodeLog):
         return super().step_wait()
 
 
-class SacTraining(CollectedTraining):
+class SacTraining(Training):
     """Trains SAC; an ``update`` takes as many environment steps as those of the other methods."""
 
+    config: SacTrainingConfig
     logged = ("actor_loss", "critic_loss", "ent_coef")
 
-    def __init__(self, config: TrainingConfig, seed: int) -> None:
+    def __init__(self, config: SacTrainingConfig, seed: int) -> None:
         venv = make_environments(config, seed)
         env = BusyEpisodeLog(venv)
         self.learner = make_sac(env, config.sac, seed)
-        super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
-
-    @property
-    def steps_per_update(self) -> int:
-        """Count the environment steps of one update."""
-        return self.config.sac.n_steps * self.config.n_envs
+        super().__init__(config, venv, env, self.learner, {LEVEL: self.learner}, config.sac.n_steps)
 
     def update(self, done: int) -> dict[str, Any]:
         """Step the environments and learn meanwhile; ``done`` steps were taken before."""
@@ -226,3 +213,9 @@ class SacPolicy(MirroredPolicy):
         with th.no_grad():
             means: Actions = self._actor(th.from_numpy(observations), deterministic=True).numpy()
         return means
+
+
+def load_sac_policy(folder: Path) -> SacPolicy:
+    """Read the policy of a run folder; see ``load_networks``."""
+    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, SacSpec)
+    return SacPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)

@@ -24,10 +24,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from lunar_rescue import LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
+from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
-from reproduce.hrl_dcs.training import make_learner, rescue_goals, sgn_space, sub_goal_view
-from reproduce.learning.config import TrainingConfig
-from reproduce.learning.training import OnlySpaces, start_collecting
+from reproduce.hrl_dcs.subgoals import RescueGoals
+from reproduce.learning.networks import flat_spaces
+from reproduce.learning.training import OnlySpaces, make_learner, start_collecting
 from reproduce.learning.workers import TERMS
 
 
@@ -75,16 +76,16 @@ class TermsFromInfos(VecEnvWrapper):
 class StockTraining:
     """Train HRL-DCS with stock parts; ``update`` is one rollout and one training of each layer."""
 
-    def __init__(self, config: TrainingConfig, seed: int) -> None:
+    def __init__(self, config: HierarchicalConfig, seed: int) -> None:
         self.config = config
         workers = SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver")
         venv = TermsFromInfos(workers)
         self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
-        goals = rescue_goals(config)
-        high_env = OnlySpaces(venv.observation_space, sgn_space(goals), config.n_envs)
+        goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
+        high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
-        self.env = sub_goal_view(venv, self.sgn.policy, goals, config)
+        self.env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
         self.lln: Any = make(self.env, config.low, bounded_mean=False)
         self._callback = start_collecting(self.lln, config.steps)
 
@@ -106,7 +107,7 @@ class StockTraining:
 
 def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -> None:
     """Fill a stock buffer with SGN's first decisions of every environment; a last one stays, as its return is open."""
-    recorded = env.recorder.decisions
+    recorded = env.high.decisions
     buffer.reset()
     for row in range(rows):
         at = [decisions[min(row, len(decisions) - 1)] for decisions in recorded]

@@ -13,10 +13,11 @@ import torch as th
 from sb3_contrib import RecurrentPPO
 
 from reproduce.bench.stock import StockTraining, copy_rollout
+from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import THREADS
-from reproduce.hrl_dcs.training import HierarchicalTraining, make_learner
-from reproduce.learning.config import PRESETS, LearnerConfig
-from reproduce.learning.training import OnlySpaces
+from reproduce.hrl_dcs.training import HierarchicalTraining
+from reproduce.learning.config import LearnerConfig
+from reproduce.learning.training import OnlySpaces, make_learner
 
 FIRST_UPDATES = 2  # fill caches; not counted
 ROUNDS = 3
@@ -35,7 +36,7 @@ def seconds_of(run: Callable[..., object], *arguments: Any) -> float:
 def measure_training(rounds: int, steps: int) -> dict[str, Any]:
     """Measure a training with our parts beside one with stock parts, and the two learners alone."""
     th.set_num_threads(THREADS)
-    config = PRESETS["laptop"]
+    config = METHODS["hrl_dcs"].config("laptop")
     size = config.low.n_steps * config.n_envs
     with closing(HierarchicalTraining(config, 0)) as ours, closing(StockTraining(config, 0)) as stock:
         for _ in range(FIRST_UPDATES):

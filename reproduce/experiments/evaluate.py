@@ -1,10 +1,11 @@
-"""Tests a policy on scenes by seed, one scene at a time in as many processes as there are cores.
+"""Test a policy on scenes by seed, one scene at a time in as many processes as there are cores.
 
 Every method meets the same scenes, and the result of a scene does not depend on which others are tested beside it.
 """
 
 from __future__ import annotations
 
+import difflib
 import time
 from functools import partial
 from pathlib import Path
@@ -12,37 +13,53 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from tqdm.auto import tqdm
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
-from lunar_rescue.env import OUTCOME
-from lunar_rescue.scenes.scene import MASS_RANGE
-from lunar_rescue.scenes.splits import split_of
-from reproduce.analysis.intervals import summarise
+from lunar_rescue.scenes.postures import all_postures
 from reproduce.experiments.methods import METHODS, Method, load_policy
+from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
 from reproduce.hrl_dcs.ablation import ablated
 from reproduce.learning.policy import Policy
 from reproduce.learning.workers import easy_scene
 from reproduce.storage.errors import UserError
-from reproduce.storage.processes import map_in_processes
+from reproduce.storage.files import check_writable, write_json
+from reproduce.storage.paths import REFERENCE, RESULTS
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
 
 
 def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method, Policy]:
-    """Load the policy of a run folder, or of a method that does not learn by its name; see ``hrl_dcs.ablation``."""
+    """Load the policy of a run folder, or of a method that does not learn by its name; see ``hrl_dcs.ablation``.
+
+    Raises:
+        UserError: Where there is neither; the message names what there is and the nearest of it.
+    """
     name = str(where)
-    if name in METHODS and METHODS[name].train is None and not Path(where).exists():
+    if Path(where).exists():
+        method, policy = load_policy(Path(where))
+    elif name in METHODS and METHODS[name].train is None:
         method, policy = METHODS[name], METHODS[name].act(0)
     else:
-        method, policy = load_policy(Path(where))
+        raise UserError(_unknown(name))
     return method, policy if ablation is None else ablated(policy, ablation, method.name)
 
 
+def _unknown(name: str) -> str:
+    fixed = [method.name for method in METHODS.values() if method.train is None]
+    runs = sorted(str(path.parent) for path in (RESULTS / REFERENCE).glob("*/seed*/policy.json"))
+    near = difflib.get_close_matches(name, [*fixed, *runs, *METHODS], n=1)
+    guess = f"; did you mean {near[0]}?" if near else ""
+    return (
+        f"{name}: no such run folder; expected one, such as {', '.join(runs) or 'one that train has written'}, "
+        f"or a method that does not learn, {', '.join(fixed)}{guess}"
+    )
+
+
 def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
-    """One rescue; return how it ended."""
-    observation, info = env.reset_flat(options={"scene": scene})
+    """Act out one rescue and return the scene's row, as ``rows.SceneRow``."""
+    observation, _ = env.reset_flat(options={"scene": scene})
     if hasattr(policy, "prepare"):  # the planner knows the scene
         policy.prepare(scene)
     start, total, done = np.array([True]), 0.0, False
@@ -50,26 +67,21 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         action = policy.act(observation[None], start)[0]
         observation, reward, terminated, truncated, last = env.step_flat(action)
         start, total, done = np.array([False]), total + reward, terminated or truncated
-    kept = {key: last[key] for key in OUTCOME}
     return {
-        "seed": info["scene"].seed,
-        **kept,
-        "steps": env.episode.steps,
-        "return": total,
+        "seed": scene.seed,
+        "task": last["task"],
+        "posture": last["posture"],
+        "attitude": all_postures()[scene.posture].attitude,
         "mass": scene.mass,
-        "mass_class": mass_class(scene.mass),
-        "terrain": scene.terrain.kind,
         "rocks": len(scene.rocks),
-        "nearest_mark": env.episode.nearest_mark if scene.rocks else None,
+        "terrain": "rough" if scene.terrain.rough else "smooth",
+        "success": last["is_success"],
+        "failure": last["failure"],
+        "both_arms_under": last["both_arms_under"],
+        "steps": env.episode.steps,
+        "return": float(total),
+        "nearest_mark": float(env.episode.nearest_mark) if scene.rocks else None,
     }
-
-
-def mass_class(mass: float) -> str:
-    """The third of the mass range that a mass [kg] lies in."""
-    low, high = MASS_RANGE
-    edges = np.linspace(low, high, 4).round().astype(int)
-    index = min(int(3 * (mass - low) / (high - low)), 2)
-    return f"{edges[index]} to {edges[index + 1]} kg"
 
 
 def _prepare(where: str, ablation: str | None) -> None:
@@ -78,11 +90,10 @@ def _prepare(where: str, ablation: str | None) -> None:
     _STATE["policy"] = find_policy(where, ablation)[1]
 
 
-def _test(seed: int, posture: str | None, task: str | None, easy: bool) -> dict[str, Any]:
+def _test(seed: int, easy: bool) -> dict[str, Any]:
     if hasattr(_STATE["policy"], "reseed"):
         _STATE["policy"].reseed(seed)
-    scene = easy_scene(seed) if easy else sample_scene(seed, posture=posture, task=task)
-    return run_episode(_STATE["env"], _STATE["policy"], scene)
+    return run_episode(_STATE["env"], _STATE["policy"], easy_scene(seed) if easy else sample_scene(seed))
 
 
 def rescue_scenes(
@@ -91,29 +102,18 @@ def rescue_scenes(
     first_seed: int = 0,
     workers: int | None = None,
     quiet: bool = False,
-    posture: str | None = None,
-    task: str | None = None,
     ablation: str | None = None,
     easy: bool = False,
 ) -> list[dict[str, Any]]:
-    """Test a policy; one row a scene, in the order of seeds.
+    """Test a policy and return one row a scene, in the order of seeds.
 
     Raises:
         UserError: On numbers out of range or a run folder that does not load.
     """
-    if tests < 1:
-        raise UserError(f"tests: expected at least 1, got {tests}")
-    if first_seed < 0:
-        raise UserError(f"first seed: expected at least 0, got {first_seed}")
-    if split_of(first_seed) != split_of(first_seed + tests - 1):
-        raise UserError(
-            f"first seed {first_seed}, tests {tests}: the scenes belong to {split_of(first_seed)} and "
-            f"{split_of(first_seed + tests - 1)}; choose seeds of one split"
-        )
+    seeds = scene_seeds(tests, first_seed)
     find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
-    job = partial(_test, posture=posture, task=task, easy=easy)
-    answers = map_in_processes(job, range(first_seed, first_seed + tests), workers, _prepare, (str(where), ablation))
-    return list(tqdm(answers, total=tests, unit="test", disable=quiet, desc=Path(where).name))
+    job, arguments = partial(_test, easy=easy), (str(where), ablation)
+    return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
 
 
 def evaluate(
@@ -123,22 +123,36 @@ def evaluate(
     quiet: bool = False,
     ablation: str | None = None,
     easy: bool = False,
+    json: Path | None = None,
 ) -> dict[str, Any]:
-    """What ``evaluation.json`` holds."""
-    method, _ = find_policy(where, ablation)
+    """Test a policy on ``tests`` scenes and return the summary.
+
+    Args:
+        where: Run folder, or name of a method that does not learn.
+        tests: Number of scenes.
+        first_seed: Seed of the first one.
+        quiet: Whether to leave the progress bar out.
+        ablation: What is taken out of the policy, see ``hrl_dcs.ablation``.
+        easy: Whether the scenes are the easy ones.
+        json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
+    """
+    table = rows_path(json) if json else None
+    for path in filter(None, (json, table)):
+        check_writable(path)
     begun = time.monotonic()
-    rows = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy)
+    rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
     seconds = time.monotonic() - begun
-    return {
-        "method": method.name,
+    summary = {
+        "method": find_policy(where)[0].name,
         **({} if ablation is None else {"ablation": ablation}),
         **({"scenes": "easy"} if easy else {}),
-        "first_seed": first_seed,
-        "split": split_of(first_seed),
         **summarise(rows),
-        "mean_return": float(np.mean([row["return"] for row in rows])),
-        "mean_steps": float(np.mean([row["steps"] for row in rows])),
         "seconds": round(seconds, 2),
         "seconds_per_test": round(seconds / tests, 4),
         "origin": provenance(),
     }
+    if table:
+        write_rows(table, rows)
+    if json:
+        write_json(json, summary)
+    return summary

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from lunar_rescue.scenes.splits import SPLITS
+from reproduce.experiments.evaluate import evaluate
 from reproduce.hrl_dcs.ablation import ABLATIONS
 
 #: Scenes of a full and of a smaller evaluation, by preset.
@@ -35,3 +38,29 @@ EVALUATIONS = {
     TWO_LAYERS: Evaluation(SPLITS["test"].start, few=True),
     **{name: Evaluation(SPLITS["test"].start, few=True, ablation=name) for name in ABLATIONS},
 }
+
+
+def evaluations_of(method: str) -> list[str]:
+    """Return the names of the evaluations that a run of this method has; ablations are HRL-DCS's alone."""
+    return list(EVALUATIONS) if method == "hrl_dcs" else ["evaluation", "heldout"]
+
+
+def evaluate_run(
+    folder: Path, tests: int, few: int, tell: Callable[[str], object] = print, quiet: bool = False
+) -> None:
+    """Make every evaluation that a run should have, and write summaries and rows into its folder.
+
+    Args:
+        folder: ``METHOD/seedK``; without a policy in it, METHOD is one that does not learn.
+        tests: Scenes of a full evaluation.
+        few: Scenes of a smaller one.
+        tell: Called with a line an evaluation.
+        quiet: Whether to leave progress bars out.
+    """
+    method = folder.parent.name
+    where = folder if (folder / "policy.json").is_file() else method
+    for name in evaluations_of(method):
+        plan, path = EVALUATIONS[name], folder / f"{name}.json"
+        number = few if plan.few else tests
+        summary = evaluate(where, number, plan.first_seed, quiet, plan.ablation, json=path)
+        tell(f"{path}: {summary['successes']} of {summary['tests']} rescued")

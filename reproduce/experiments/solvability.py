@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from scipy.stats import binomtest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from reproduce.baselines.planner.planner import VARIANTS, RescuePlanner
 from reproduce.baselines.planner.policy import PlannerPolicy
 from reproduce.experiments.evaluate import run_episode
 from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.experiments.rows import count_by, wilson
 from reproduce.storage.files import check_writable, locked, write_atomically, write_json
 from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import provenance, record_origin
@@ -38,7 +38,7 @@ def solve_scene(seed: int, planner: RescuePlanner) -> dict[str, Any]:
     policy = PlannerPolicy(planner)
     with closing(LunarRescueEnv()) as env:
         ended = run_episode(env, policy, scene)
-    plan, under, rescued = policy.plan, bool(ended["both_arms_under"]), bool(ended["is_success"])
+    plan, under, rescued = policy.plan, ended["both_arms_under"], ended["success"]
     return {
         **{key: ended[key] for key in ("seed", "task", "posture", "terrain", "rocks", "mass", "steps", "failure")},
         "slope": scene.terrain.slope,
@@ -66,11 +66,7 @@ def summarise_solvability(scenes: pd.DataFrame) -> dict[str, Any]:
         "tests": len(scenes),
         "shares": {column: {"meaning": meaning, **_share(scenes[column])} for column, meaning in SHARES.items()},
         "by_group": {
-            column: {
-                key: paired.groupby(key).agg(tests=(column, "size"), successes=(column, "sum")).to_dict("index")
-                for key in GROUPS
-            }
-            for column in ("process1", "rescued")
+            column: {key: count_by(paired, key, column) for key in GROUPS} for column in ("process1", "rescued")
         },
         "as_planned": int(scenes["as_planned"].sum()),
         "ways": scenes["way"].value_counts().to_dict(),
@@ -84,8 +80,8 @@ def summarise_solvability(scenes: pd.DataFrame) -> dict[str, Any]:
 
 def _share(successes: pd.Series[int]) -> dict[str, float]:
     count, tests = int(successes.sum()), len(successes)
-    low, high = binomtest(count, tests).proportion_ci(confidence_level=0.95, method="wilson")
-    return {"scenes": count, "share": count / tests, "wilson_low": float(low), "wilson_high": float(high)}
+    low, high = wilson(count, tests)
+    return {"scenes": count, "share": count / tests, "wilson_low": low, "wilson_high": high}
 
 
 def measure_solvability(
@@ -115,7 +111,7 @@ def measure_solvability(
     """
     begun, seeds = time.monotonic(), scene_seeds(tests, first_seed)
     RescuePlanner(variants)  # a bad cap fails here, in one line, and not in a worker
-    table, summaries = folder / "scenes.csv", [folder / "summary.json", *([json] if json else [])]
+    table, summaries = folder / "scenes.csv", [folder / "summary.json", *filter(None, [json])]
     for path in [table, *summaries]:
         check_writable(path)
     with locked(folder, "results of the planner"):

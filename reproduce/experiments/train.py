@@ -22,12 +22,13 @@ from tqdm.auto import tqdm
 
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.methods import Method, Training, export_policy
-from reproduce.learning.config import TrainingConfig, to_dict
+from reproduce.learning.config import TrainingConfig
 from reproduce.learning.workers import WorkerError
 from reproduce.storage.checkpoint import Progress, delete_checkpoint, has_checkpoint, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text
 from reproduce.storage.provenance import provenance
+from reproduce.storage.records import differences, to_dict
 
 WHAT = "run folder"
 START = Progress(0, 0, 0.0)
@@ -114,7 +115,7 @@ class _Run:
     progress: Progress = START
     saved: Progress = START
     rows: list[dict[str, Any]] = field(default_factory=list)
-    start: Callable[[TrainingConfig, int], Training] = field(init=False)
+    start: Callable[[Any, int], Training] = field(init=False)
 
     def __post_init__(self) -> None:
         """Refuse a method that does not learn."""
@@ -124,7 +125,7 @@ class _Run:
 
     @property
     def description(self) -> dict[str, Any]:
-        """Content of ``config.json``."""
+        """Return what ``config.json`` holds of this training."""
         return {
             "method": self.method.name,
             "preset": self.preset,
@@ -139,9 +140,10 @@ class _Run:
         found = read_json(path, "configuration of a run")
         if not isinstance(found, dict) or not isinstance(found.get("training"), dict):
             raise UserError(f"{path}: expected the configuration of a training, as `reproduce train` writes it")
-        before, now = (pd.json_normalize(data).to_dict("records")[0] for data in (found, self.description))
-        names = [str(name) for name in {**before, **now} if before.get(name) != now.get(name)]
-        return [f"{name} was {before.get(name, 'not there')}, is {now.get(name, 'not there')}" for name in names]
+        try:
+            return differences(found, self.description)
+        except RecursionError:
+            raise UserError(f"{path}: expected the configuration of a training, got data nested too deeply") from None
 
     def check(self, resume: bool) -> None:
         """Refuse what cannot be begun, or gone on with, in the folder as it is."""

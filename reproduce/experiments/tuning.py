@@ -1,4 +1,4 @@
-"""Tuning trials: short trainings, judged on validation scenes, as many for each baseline (``trials``).
+"""Tuning trials: short trainings, judged on validation scenes, as many for each baseline (``trials.toml``).
 
 Trainings and scenes are easy ones (``learning.workers.easy_scene``): on all scenes a flat method rescues next to
 nobody in as many steps as a trial can have, and all trials would look alike. A trial is judged by the share of the two
@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,8 @@ from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
+from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
 from reproduce.experiments.train import train
-from reproduce.experiments.trials import CHOSEN, TRIALS, Trial
-from reproduce.learning.config import PRESETS
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import locked, write_text
 from reproduce.storage.paths import COMMITTED, RESULTS
@@ -45,7 +43,7 @@ def tune(
     """Make the trials of a method that were not made yet; write and return the table of all.
 
     Args:
-        method: One with trials in ``reproduce.experiments.trials``.
+        method: One with trials in ``reproduce/experiments/trials.toml``.
         steps: Environment steps of a trial.
         tests: Easy validation scenes after it.
         tell: Gets a line a trial.
@@ -62,33 +60,34 @@ def tune(
         raise UserError(f"--steps, --tests: expected at least 1, got {steps} and {tests}")
     path = results / TUNING / f"{method}.csv"
     with locked(path.parent, "folder of tuning trials"):
-        rows = _known_rows(path, {trial.name: _conditions(trial, steps, tests) for trial in TRIALS[method]})
-        for trial in TRIALS[method]:
-            if trial.name not in rows:
-                rows[trial.name] = {**_conditions(trial, steps, tests), **_measure(method, trial, steps, tests, quiet)}
-                ordered = [rows[each.name] for each in TRIALS[method] if each.name in rows]
+        conditions = {trial: _conditions(trial, changes, steps, tests) for trial, changes in TRIALS[method].items()}
+        rows = _known_rows(path, conditions)
+        for trial in conditions:
+            if trial not in rows:
+                rows[trial] = {**conditions[trial], **_measure(method, trial, steps, tests, quiet)}
+                ordered = [rows[each] for each in conditions if each in rows]
                 write_text(path, pd.DataFrame(ordered).to_csv(index=False))
                 record_origin(path)
-            tell(f"{method}, {trial.name}: score {rows[trial.name]['score']:.3f}")
-    return pd.DataFrame([rows[trial.name] for trial in TRIALS[method]])
+            tell(f"{method}, {trial}: score {rows[trial]['score']:.3f}")
+    return pd.DataFrame([rows[trial] for trial in conditions])
 
 
 def _known_rows(path: Path, conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Read the rows of trials that were made under the same conditions, by the trial's name."""
     rows: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    wanted = {name: {key: str(value) for key, value in own.items()} for name, own in conditions.items()}
+    return {
+        name: row
+        for row in rows
+        if (name := row["trial"]) in wanted and {key: str(row.get(key)) for key in wanted[name]} == wanted[name]
+    }
 
-    def same(row: dict[str, Any]) -> bool:
-        wanted = conditions.get(row["trial"])
-        return wanted is not None and all(str(row.get(key)) == str(value) for key, value in wanted.items())
 
-    return {row["trial"]: row for row in rows if same(row)}
-
-
-def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
+def _conditions(trial: str, changes: Changes, steps: int, tests: int) -> dict[str, Any]:
     """Return what must be equal for a trial not to be made again."""
     return {
-        "trial": trial.name,
-        "changes": json.dumps(dict(trial.changes), sort_keys=True),
+        "trial": trial,
+        "changes": json.dumps(dict(changes), sort_keys=True),
         "steps": steps,
         "tests": tests,
         "scenes": SCENES,
@@ -96,14 +95,14 @@ def _conditions(trial: Trial, steps: int, tests: int) -> dict[str, Any]:
     }
 
 
-def _measure(method: str, trial: Trial, steps: int, tests: int, quiet: bool) -> dict[str, Any]:
-    config = replace(trial.config(PRESETS[PRESET]), steps=steps, scenes=SCENES)
+def _measure(method: str, trial: str, steps: int, tests: int, quiet: bool) -> dict[str, Any]:
+    config = configuration(METHODS[method].kind, PRESET, {**TRIALS[method][trial], "steps": steps, "scenes": SCENES})
     try:
         with tempfile.TemporaryDirectory() as folder:
             curve = train(METHODS[method], config, 0, Path(folder) / method, PRESET, quiet=quiet)
             result = evaluate(Path(folder) / method, tests, VALIDATION.start, quiet=quiet, easy=True)
     except KeyboardInterrupt:
-        words = f"tuning {method}: interrupted in trial {trial.name!r}; the same command goes on with that trial"
+        words = f"tuning {method}: interrupted in trial {trial!r}; the same command goes on with that trial"
         raise KeyboardInterrupt(words) from None
     return {
         "score": (result["both_arms_under"] + result["success_rate"]) / 2,

@@ -10,52 +10,57 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
+from reproduce.hrl_dcs.config import AnchorConfig
 from reproduce.hrl_dcs.policy import HierarchicalPolicy
-from reproduce.hrl_dcs.subgoals import ENDS_SIZE, SUBGOAL_SIZE, targets
-from reproduce.learning.policy import Observations, Policy
+from reproduce.hrl_dcs.subgoals import ENDS_SIZE, SUBGOAL_SIZE, Floats, RescueGoals, targets
+from reproduce.learning.policy import Policy
 from reproduce.storage.errors import UserError
 
 
-class FixedTarget(HierarchicalPolicy):
+class FixedTarget(RescueGoals):
     """SGN replaced by a fixed sub-goal: the target areas themselves."""
 
-    def command(self, observations: Observations, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """The target areas P_G, plates level."""
-        return np.pad(targets(observations)[rows], ((0, 0), (0, SUBGOAL_SIZE - ENDS_SIZE)))
+    def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
+        """Note where the target areas are."""
+        self._fixed = np.pad(targets(observations), ((0, 0), (0, SUBGOAL_SIZE - ENDS_SIZE)))
+
+    def subgoals(self, outputs: Floats) -> Floats:
+        """Return the target areas P_G with plates level, (n, SUBGOAL_SIZE) [m], whatever SGN puts out."""
+        return self._fixed
 
 
-class AnchorsAlone(HierarchicalPolicy):
+class AnchorsAlone(RescueGoals):
     """SGN silent: sub-goals stay on what they are measured from, the next point of the way in."""
 
-    def command(self, observations: Observations, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """The anchors."""
-        return self._anchors.subgoals(np.zeros_like(self._subgoals))[rows]
+    def subgoals(self, outputs: Floats) -> Floats:
+        """Return the anchors (n, SUBGOAL_SIZE) [m], whatever SGN puts out."""
+        return super().subgoals(np.zeros_like(outputs))
 
 
-def _as(kind: type[HierarchicalPolicy]) -> Callable[[HierarchicalPolicy], HierarchicalPolicy]:
-    return lambda policy: kind(*policy.networks, policy.interval, policy.meaning, policy.mirrored)
+def _with(make_goals: Callable[[int, AnchorConfig], RescueGoals]) -> Callable[[HierarchicalPolicy], HierarchicalPolicy]:
+    return lambda policy: HierarchicalPolicy(*policy.networks, policy.config, make_goals)
 
 
 def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
-    """LLN with layers as before any training; how it scales its observations stays."""
+    """Put layers as before any training into LLN; how it scales its observations stays."""
     sgn, lln = policy.networks
     fresh = copy.deepcopy(lln)
     th.manual_seed(0)
     for module in fresh.modules():
         if isinstance(module, nn.Linear | nn.LSTM):
             module.reset_parameters()
-    return HierarchicalPolicy(sgn, fresh, policy.interval, policy.meaning, policy.mirrored)
+    return HierarchicalPolicy(sgn, fresh, policy.config)
 
 
 ABLATIONS: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = {
-    "fixed_target": _as(FixedTarget),
-    "anchors_alone": _as(AnchorsAlone),
+    "fixed_target": _with(FixedTarget),
+    "anchors_alone": _with(AnchorsAlone),
     "untrained_lln": _untrained_lln,
 }
 
 
 def ablated(policy: Policy, ablation: str, method: str) -> HierarchicalPolicy:
-    """A policy with one layer put out of action.
+    """Return a policy with one layer put out of action.
 
     Raises:
         UserError: On an unknown ablation, or a policy that has no two layers.

@@ -1,7 +1,7 @@
 """What two layers must know of a task: what a sub-goal is, how far away it is, and what LLN sees and does.
 
-The wrappers of ``hrl_dcs.subgoal_env`` work over any vectorised Gymnasium environment with flat observations and a
-Box action, given ``Goals``. ``RescueGoals`` are those of the rescue; ``PlainGoals`` need only a function from
+``hrl_dcs.subgoal_env`` works over any vectorised Gymnasium environment with flat observations and a Box action, given
+``Goals``. Those of the rescue are ``hrl_dcs.subgoals.RescueGoals``; ``PlainGoals`` need only a function from
 observations to a goal space (see docs/extending.md).
 """
 
@@ -14,103 +14,39 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.rewards import TERMS
-from reproduce.hrl_dcs.subgoals import LLN_SIZE, SUBGOAL_SIZE, Anchors, distances, in_process_2, lln_observations
-from reproduce.learning.actions import to_environment
-
 Floats = NDArray[np.float32]
-
-APPROACH = [term.name for term in TERMS].index("approach")
-#: Terms of the environment's reward that INR shares with it; the approach term is towards the sub-goal instead.
-SHARED_TERMS = [index for index, term in enumerate(TERMS) if not term.once and index != APPROACH]
-#: Terms that come once an episode, of which INR has a share.
-MILESTONES = [index for index, term in enumerate(TERMS) if term.once]
 
 
 class Goals(Protocol):
-    """What a sub-goal is.
+    """What a sub-goal is."""
 
-    Attributes:
-        outputs: Numbers that SGN puts out.
-        size: Numbers of a sub-goal.
-        distance_count: Distances to a sub-goal, whose approach counts on the average.
-        view_size: Size of what LLN sees.
-        actions: Numbers that LLN puts out.
-    """
-
-    outputs: int
-    size: int
-    distance_count: int
-    view_size: int
-    actions: int
+    outputs: int  # numbers that SGN puts out
+    size: int  # numbers of a sub-goal
+    distance_count: int  # distances to a sub-goal, whose approach counts on the average
+    view_size: int  # size of what LLN sees
+    actions: int  # numbers that LLN puts out
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
-        """Follow the environments; called with each observation (n, d)."""
-        ...
+        """Follow the environments; called with each observation (n, d) and which of them begin an episode (n,)."""
 
     def subgoals(self, outputs: Floats) -> Floats:
-        """Sub-goals (n, size) commanded by SGN's outputs (n, outputs) in [-1, 1]."""
-        ...
+        """Return the sub-goals (n, size) that SGN's outputs (n, outputs) in [-1, 1] command."""
 
     def distances(self, observations: Floats, subgoals: Floats) -> Floats:
-        """How far sub-goals are, (n, distance_count), at least 0."""
-        ...
+        """Return how far sub-goals are, (n, distance_count), at least 0."""
 
     def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """What LLN sees, (n, view_size); ``remaining`` is the share of N steps left, (n,)."""
-        ...
+        """Return what LLN sees, (n, view_size); ``remaining`` is the share of N steps left, (n,)."""
 
     def shared_reward(self, venv: Any, observations: Floats) -> Floats:
-        """What INR has besides the approach to the sub-goal, (n,)."""
-        ...
+        """Return what INR has besides the approach to the sub-goal, (n,)."""
 
     def actions_of(self, observations: Floats, outputs: Floats) -> Floats:
-        """The environments' actions for LLN's outputs (n, actions) in [-1, 1]."""
-        ...
-
-
-class RescueGoals:
-    """Of the rescue: places of the two arms; see ``reproduce.hrl_dcs.subgoals``."""
-
-    outputs, size, distance_count, view_size, actions = SUBGOAL_SIZE, SUBGOAL_SIZE, 2, LLN_SIZE, JOINTS
-
-    def __init__(self, count: int, meaning: str, pose_share: float, milestone_share: float) -> None:
-        """Start.
-
-        Args:
-            count: Environments.
-            meaning: What SGN's numbers mean.
-            pose_share: Weight of the environment's approach term in INR during process 2: how a plate is held decides
-                whether the body stays on it.
-            milestone_share: Weight in INR of what comes once an episode.
-        """
-        self._anchors = Anchors(count, meaning)
-        self._pose_share, self._milestone_share = pose_share, milestone_share
-        self.update, self.subgoals = self._anchors.update, self._anchors.subgoals
-
-    def distances(self, observations: Floats, subgoals: Floats) -> Floats:
-        """Of each arm, (n, 2) [m]."""
-        return distances(observations, subgoals)
-
-    def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """See ``lln_observations``."""
-        return lln_observations(observations, subgoals, remaining)
-
-    def shared_reward(self, venv: Any, observations: Floats) -> Floats:
-        """Obstacle avoidance and joint motion, and shares of the rest."""
-        terms: Floats = venv.terms
-        shared = terms[:, SHARED_TERMS].sum(axis=1) + self._milestone_share * terms[:, MILESTONES].sum(axis=1)
-        pose: Floats = self._pose_share * terms[:, APPROACH] * in_process_2(observations)
-        return shared + pose
-
-    def actions_of(self, observations: Floats, outputs: Floats) -> Floats:
-        """Eq. 3's actions."""
-        return to_environment(observations, outputs)
+        """Return the environments' actions for LLN's outputs (n, actions) in [-1, 1]."""
 
 
 class PlainGoals:
-    """Of any environment: a sub-goal is a point of a goal space, at most ``reach`` from where the state is now."""
+    """Goals of any environment: points of a goal space, at most ``reach`` from where the state is now."""
 
     distance_count = 1
 
@@ -121,7 +57,7 @@ class PlainGoals:
         goal_of: Callable[[Floats], Floats],
         reach: float,
     ) -> None:
-        """Start.
+        """Check the spaces and measure the goal space.
 
         Args:
             observation_space: Box, flat.
@@ -132,42 +68,43 @@ class PlainGoals:
         Raises:
             ValueError: On spaces that are no flat boxes, or an action without bounds.
         """
-        for name, space in (("observation_space", observation_space), ("action_space", action_space)):
-            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-                raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
-        assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
-        if not (np.isfinite(action_space.low).all() and np.isfinite(action_space.high).all()):
-            raise ValueError(f"action_space: expected bounds, got {action_space}")
+        sees, acts = _flat_box("observation_space", observation_space), _flat_box("action_space", action_space)
+        if not (np.isfinite(acts.low).all() and np.isfinite(acts.high).all()):
+            raise ValueError(f"action_space: expected bounds, got {acts}")
         self._goal_of, self._reach = goal_of, np.float32(reach)
-        self._low, self._high = action_space.low, action_space.high
-        seen = np.zeros((1, observation_space.shape[0]), np.float32)
-        self.size = self.outputs = int(goal_of(seen).shape[1])
-        self.view_size = observation_space.shape[0] + 2 * self.size + 1
-        self.actions = action_space.shape[0]
+        self._low, self._high = acts.low, acts.high
+        self.size = self.outputs = int(goal_of(np.zeros((1, *sees.shape), np.float32)).shape[1])
+        self.view_size, self.actions = sees.shape[0] + 2 * self.size + 1, acts.shape[0]
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
-        """Sub-goals are measured from where the state is when they are set."""
+        """Note where the state is: sub-goals are measured from there."""
         self._now = self._goal_of(observations).astype(np.float32)
 
     def subgoals(self, outputs: Floats) -> Floats:
-        """See ``Goals.subgoals``."""
+        """Return sub-goals (n, size) around where the state is."""
         return self._now + self._reach * np.clip(outputs, -1.0, 1.0)
 
     def distances(self, observations: Floats, subgoals: Floats) -> Floats:
-        """Straight through the goal space."""
+        """Return the distance straight through the goal space, (n, 1)."""
         away: Floats = np.linalg.norm(self._goal_of(observations) - subgoals, axis=1, keepdims=True)
         return away.astype(np.float32)
 
     def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """The observation, the sub-goal, the way to it and the share of N steps left."""
+        """Return the observation, the sub-goal, the way to it and the share of N steps left, (n, view_size)."""
         parts = [observations, subgoals, subgoals - self._goal_of(observations), remaining[:, None]]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     def shared_reward(self, venv: Any, observations: Floats) -> Floats:
-        """Nothing: LLN is paid for its sub-goal alone."""
+        """Return nothing (n,): LLN is paid for its sub-goal alone."""
         return np.zeros(len(observations), np.float32)
 
     def actions_of(self, observations: Floats, outputs: Floats) -> Floats:
-        """LLN's outputs stretched over the action space."""
+        """Return LLN's outputs (n, actions) stretched over the action space."""
         share = 0.5 * (np.clip(outputs, -1.0, 1.0) + 1.0)
         return (self._low + share * (self._high - self._low)).astype(np.float32)
+
+
+def _flat_box(name: str, space: spaces.Space[Any]) -> spaces.Box:
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
+    return space

@@ -16,42 +16,40 @@ from numpy.typing import NDArray
 from lunar_rescue.observation import SLICES
 from lunar_rescue.physics.kinematics import ArmChain, normal_y
 from lunar_rescue.physics.robot import ARM_WINDOW, INITIAL_ARM, JOINTS, WAIST, WAIST_WINDOW
+from reproduce.hrl_dcs.config import AnchorConfig
 from reproduce.learning.actions import LARGEST_CHANGE, LOWER, UPPER
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-DAMPING = 0.05  # m, of the same order as the smallest errors that matter
-FURTHEST = 2.0  # LARGEST_CHANGE, what is seen is cut there: further ahead tells nothing new
-LEVEL = 0.15  # m, what a plate that is not level across counts beside places
 _LARGEST = LARGEST_CHANGE * ARM_WINDOW  # rad in a step
 _START = INITIAL_ARM.astype(np.float32)
 _ANGLES = [slice(SLICES[key].start, SLICES[key].start + 5) for key in ("P_A", "P_B")]
 _WAIST = SLICES["P_W"].start
 
 
-def sideways_tilt(observations: Floats) -> Floats:
-    """Return the sideways tilt of each plate as a distance, (n, 2) [m]: 0 where level, ``LEVEL`` where on edge."""
+def sideways_tilt(observations: Floats, level: float) -> Floats:
+    """Return the sideways tilt of each plate as a distance, (n, 2) [m]: 0 where level, ``level`` where on edge."""
     joints = np.stack([observations[:, where] for where in _ANGLES], axis=1) * np.float32(ARM_WINDOW) + _START
-    return np.float32(LEVEL) * normal_y(joints)
+    return np.float32(level) * normal_y(joints)
 
 
-def joint_step(observations: Floats, way: Floats, rise: float) -> Floats:
+def joint_step(observations: Floats, way: Floats, anchors: AnchorConfig) -> Floats:
     """Return the step of all joints that would close the way to a sub-goal.
 
     Args:
         observations: Flat observations (n, SIZE).
         way: From where the arms are to where they are wanted: both ends, then the rise of both plates (n, 8) [m].
-        rise: What the slope of a plate counts beside places [m].
+        anchors: What slope and level of a plate count beside places, and damping and bound of the step.
 
     Returns:
-        Arm A, arm B, waist (n, 11), in units of the largest change of a step, cut at ``FURTHEST``.
+        Arm A, arm B, waist (n, 11), in units of the largest change of a step, cut at ``anchors.furthest``.
     """
     count = len(observations)
     angles = np.stack([observations[:, where] for where in _ANGLES]).astype(np.float64) * ARM_WINDOW + INITIAL_ARM
     waist = observations[:, _WAIST].astype(np.float64) * WAIST_WINDOW
     chain = ArmChain(np.tile(waist, 2), angles.reshape(-1, 5))
-    weights = np.array([1.0, 1.0, 1.0, rise, LEVEL])
+    weights = np.array([1.0, 1.0, 1.0, anchors.rise, anchors.level])
     changes = (chain.jacobian() * weights[:, None]).reshape(2, count, 5, 6)
     jacobian = np.zeros((count, 10, JOINTS))
     jacobian[:, :5, :5], jacobian[:, 5:, 5:WAIST] = changes[..., :5]
@@ -60,20 +58,20 @@ def joint_step(observations: Floats, way: Floats, rise: float) -> Floats:
     error[:, :, :3] = way[:, :6].reshape(count, 2, 3)
     error[:, 1, 1] *= -1.0  # arm B is arm A mirrored
     error[:, :, 3] = way[:, 6:]
-    error[:, :, 4] = -LEVEL * chain.normal[:, 1].reshape(2, count).T
+    error[:, :, 4] = -anchors.level * chain.normal[:, 1].reshape(2, count).T
     error = error.reshape(count, 10, 1)
-    step = _damped_step(jacobian, error)
+    step = _damped_step(jacobian, error, anchors.damping)
     ahead = np.concatenate([*angles, waist[:, None]], axis=1) + np.clip(step, -_LARGEST, _LARGEST)
     # A joint that would leave its range is held, or the others would not make up for it.
     held = (ahead > UPPER) & (step > 0) | (ahead < LOWER) & (step < 0)
     rows = held.any(axis=1)
     if rows.any():
-        step[rows] = _damped_step(jacobian[rows] * ~held[rows, None, :], error[rows])
-    return np.clip(step / _LARGEST, -FURTHEST, FURTHEST).astype(np.float32)
+        step[rows] = _damped_step(jacobian[rows] * ~held[rows, None, :], error[rows], anchors.damping)
+    return np.clip(step / _LARGEST, -anchors.furthest, anchors.furthest).astype(np.float32)
 
 
-def _damped_step(jacobian: Array, error: Array) -> Array:
+def _damped_step(jacobian: Array, error: Array, damping: float) -> Array:
     """Return the damped least-squares step (n, joints) that closes errors (n, rows, 1)."""
     across = jacobian.transpose(0, 2, 1)
-    step: Array = (across @ np.linalg.solve(jacobian @ across + DAMPING**2 * np.eye(error.shape[1]), error))[:, :, 0]
+    step: Array = (across @ np.linalg.solve(jacobian @ across + damping**2 * np.eye(error.shape[1]), error))[:, :, 0]
     return step

@@ -8,24 +8,22 @@ cut there; its memory lives on. SGN's transitions, with EXR summed over the N st
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch as th
-from gymnasium import spaces
 from numpy.typing import NDArray
-from sb3_contrib.common.recurrent.type_aliases import RNNStates
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from lunar_rescue.env import OUTCOME
-from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.tasks import SMALLEST_ERROR
+from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
-from reproduce.learning.networks import RecurrentNetwork
+from reproduce.hrl_dcs.high_level import HighLevel
+from reproduce.learning.episodes import EpisodeLog
+from reproduce.learning.networks import RecurrentNetwork, flat_spaces
 from reproduce.learning.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
-from reproduce.learning.workers import RETURN
 
 
 @dataclass
@@ -42,98 +40,83 @@ class Decision:
     done: bool = False
 
 
-@dataclass
-class Recorder:
-    """SGN's transitions, one list an environment; the last decision of each list is still under way."""
+class RecordedHighLevel(HighLevel):
+    """SGN as it is trained: it draws its outputs, and every decision is recorded.
 
-    decisions: list[list[Decision]] = field(default_factory=list)
+    Attributes:
+        decisions: One list an environment; the last decision of each list is still under way.
+    """
+
+    def begin(self) -> None:
+        """Forget what was recorded, as all episodes begin anew."""
+        self.decisions: list[list[Decision]] = [[] for _ in self.subgoals]
+
+    def command(self, observations: Floats, rows: NDArray[np.int64], starts: NDArray[np.bool_]) -> Floats:
+        """Draw outputs (m, goals.outputs) for environments ``rows`` (m,) and record them."""
+        outputs, log_probs, values, hidden = self.memory.draw(observations, rows)
+        for slot, index in enumerate(rows):
+            numbers = float(log_probs[slot]), float(values[slot])
+            decision = Decision(observations[slot], outputs[slot], *numbers, hidden[slot], bool(starts[slot]))
+            self.decisions[index].append(decision)
+        return outputs
 
     def rollout(self, gamma: float, lam: float, length: int) -> Rollout | None:
         """Hand out all finished decisions as a rollout and keep those under way; None if there are none."""
-        parts: list[dict[str, Any]] = []
+        finished: list[Decision] = []
+        estimates: list[tuple[Floats, Floats]] = []
         bounds: list[tuple[int, int]] = []
-        total = 0
-        for index, made in enumerate(self.decisions):
-            done = made if made and made[-1].done else made[:-1]
-            if not done:
-                continue
-            self.decisions[index] = made[len(done) :]
-            last_value = made[-1].value if len(done) < len(made) else 0.0
-            starts = np.array([d.start for d in done])
-            values = np.array([d.value for d in done], np.float32)
-            rewards = np.array([d.reward for d in done], np.float32)
-            ends = np.array([d.done for d in done])
-            advantages, returns = advantages_and_returns(rewards, values, last_value, ends, gamma, lam)
-            parts.append({"made": done, "values": values, "advantages": advantages, "returns": returns})
-            bounds += sequence_bounds(starts, total, length)
-            total += len(done)
-        if not parts:
+        for index, decisions in enumerate(self.decisions):
+            done = decisions if decisions and decisions[-1].done else decisions[:-1]
+            if done:
+                rewards, values = (
+                    np.array([getattr(d, name) for d in done], np.float32) for name in ("reward", "value")
+                )
+                ends, starts = np.array([d.done for d in done]), np.array([d.start for d in done])
+                # Where the last one ended its episode, the value after it does not count.
+                estimates.append(advantages_and_returns(rewards, values, decisions[-1].value, ends, gamma, lam))
+                bounds += sequence_bounds(starts, len(finished), length)
+                finished += done
+                self.decisions[index] = decisions[len(done) :]
+        if not finished:
             return None
-        made = [d for part in parts for d in part["made"]]
-        return Rollout(
-            observations=np.array([d.observation for d in made], np.float32),
-            actions=np.array([d.output for d in made], np.float32),
-            log_probs=np.array([d.log_prob for d in made], np.float32),
-            values=np.concatenate([part["values"] for part in parts]),
-            advantages=np.concatenate([part["advantages"] for part in parts]),
-            returns=np.concatenate([part["returns"] for part in parts]),
-            hidden=np.array([d.hidden for d in made], np.float32),
-            bounds=np.array(bounds, np.int64),
-        )
+        advantages, returns = map(np.concatenate, zip(*estimates, strict=True))
+        names = {"observations": "observation", "actions": "output", "log_probs": "log_prob", "values": "value"}
+        columns = {name: np.array([getattr(d, one) for d in finished], np.float32) for name, one in names.items()}
+        hidden = np.array([d.hidden for d in finished], np.float32)
+        whole = {**columns, "advantages": advantages, "returns": returns, "hidden": hidden}
+        return Rollout(**whole, bounds=np.array(bounds, np.int64))
 
 
-class SubGoalVecEnv(VecEnvWrapper):
-    """LLN's environment; see the module."""
+class SubGoalVecEnv(EpisodeLog):
+    """LLN's environment; see the module.
 
-    def __init__(
-        self,
-        venv: VecEnv,
-        sgn: RecurrentNetwork,
-        goals: Goals,
-        interval: int,
-        beta: float,
-        form: ApproachForm,
-        sgn_gamma: float,
-        deterministic: bool = False,
-    ) -> None:
+    Attributes:
+        high: SGN, which decides in it.
+        cuts: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
+    """
+
+    def __init__(self, venv: VecEnv, sgn: RecurrentNetwork, goals: Goals, config: HierarchicalConfig) -> None:
         """Wrap environments.
 
         Args:
             venv: The environments, whose observations are flat.
             sgn: The high level's network.
             goals: What a sub-goal is in these environments, and how LLN's outputs become their actions.
-            interval: N, steps between sub-goals.
-            beta: Weight of INR's approach term.
-            form: Form of INR's approach term.
-            sgn_gamma: SGN's discount, for values at the step limit.
-            deterministic: Whether SGN commands its mean.
+            config: The training's configuration.
         """
-        view = spaces.Box(-np.inf, np.inf, (goals.view_size,), np.float32)
-        acts = spaces.Box(-1.0, 1.0, (goals.actions,), np.float32)
-        super().__init__(venv, observation_space=view, action_space=acts)
-        self._sgn, self._goals, self._interval, self._beta, self._form = sgn, goals, interval, beta, form
-        self._gamma, self._deterministic = sgn_gamma, deterministic
+        seen, acts = flat_spaces(goals.view_size, goals.actions)
+        super().__init__(venv, observation_space=seen, action_space=acts)
+        self._sgn, self._goals, self._config = sgn, goals, config
         count = venv.num_envs
-        self.recorder = Recorder([[] for _ in range(count)])
-        self.subgoals = np.zeros((count, goals.size), np.float32)
-        self._left = np.zeros(count, np.int64)
+        self.high = RecordedHighLevel(sgn, goals, config.hierarchy.interval, count)
         self._best = np.zeros((count, goals.distance_count), np.float32)
-        hidden = sgn.lstm_actor.hidden_size
-        self._hidden = np.zeros((count, 2, hidden), np.float32)
-        self.episodes: list[dict[str, Any]] = []
-        #: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
         self.cuts: list[NDArray[np.bool_]] = []
-        self._last = np.zeros((count, venv.observation_space.shape[0]), np.float32)  # type: ignore[index]
-        self._returns = np.zeros((count, 3))  # EXR, INR, steps of the episode under way
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
-        observations = np.asarray(self.venv.reset(), np.float32)
-        self.recorder = Recorder([[] for _ in range(self.num_envs)])
-        self._returns[:] = 0.0
-        everything = np.ones(self.num_envs, bool)
-        self._goals.update(observations, everything)
-        self._decide(observations, everything, everything)
+        observations = np.asarray(super().reset(), np.float32)
+        self.high.begin()
+        self._decide(observations, np.ones(self.num_envs, bool))
         return self._view(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -149,86 +132,50 @@ class SubGoalVecEnv(VecEnvWrapper):
             ended[index] = infos[index]["terminal_observation"]
         inr = self._internal_reward(ended)
         self._credit(exr, inr, dones, infos, ended)
-        self._left -= 1
-        starts = np.asarray(dones, bool)
-        self._goals.update(observations, starts)
-        over = starts | (self._left <= 0)
-        self.cuts.append(over)
-        self._decide(observations, over, starts)
+        self.cuts.append(self._decide(observations, np.asarray(dones, bool)))
         return self._view(observations), inr, dones, infos
+
+    def _decide(self, observations: Floats, starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Let SGN go on by a step; return where it set a new sub-goal, (n,)."""
+        renewed = np.zeros(self.num_envs, bool)
+        renewed[self.high.advance(observations, starts)] = True
+        self._best[renewed] = self._distances(observations)[renewed]
+        return renewed
 
     def _view(self, observations: Floats) -> Floats:
         self._last = observations
-        return self._goals.view(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
+        return self.high.view(observations)
 
     def _distances(self, observations: Floats) -> Floats:
-        return self._goals.distances(observations, self.subgoals) + np.float32(SMALLEST_ERROR)
+        return self._goals.distances(observations, self.high.subgoals) + np.float32(SMALLEST_ERROR)
 
     def _internal_reward(self, observations: Floats) -> Floats:
-        """INR, Eq. 2: approach to the sub-goal for all environments at once, the other terms from the environment."""
+        """Return INR, Eq. 2 (n,): the approach to the sub-goal, and the other terms from the environment."""
         distance = self._distances(observations)
-        gain = np.exp(self._best - distance) - (1.0 if self._form == "signed" else 0.0)
+        h = self._config.hierarchy
+        gain = np.exp(self._best - distance) - (1.0 if h.form == "signed" else 0.0)
         self._best = distance  # D_m of the last step, as in the environment's own reward
-        inr: Floats = self._beta * gain.mean(axis=1) + self._goals.shared_reward(self.venv, observations)
+        inr: Floats = h.beta * gain.mean(axis=1) + self._goals.shared_reward(self.venv, observations)
         return inr.astype(np.float32)
 
     def _credit(
         self, exr: NDArray[Any], inr: Floats, dones: NDArray[Any], infos: list[dict[str, Any]], ended: Floats
     ) -> None:
-        self._returns += np.column_stack([exr, inr, np.ones(self.num_envs)])
+        self.add_up(exr, inr, dones, infos)
         for index in range(self.num_envs):
-            decision = self.recorder.decisions[index][-1]
+            decision = self.high.decisions[index][-1]
             decision.reward += float(exr[index])
             if dones[index]:
                 decision.done = True
                 if infos[index].get("TimeLimit.truncated", False):
                     # At the step limit the value of what would have come stands in, as SB3 does for the low level.
-                    decision.reward += self._gamma * self._value(ended[index])
+                    decision.reward += self._config.high.gamma * self._value(ended[index])
                 infos[index]["terminal_observation"] = self._goals.view(
-                    ended[index : index + 1], self.subgoals[index : index + 1], np.zeros(1, np.float32)
+                    ended[index : index + 1], self.high.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
-                totals = dict(zip(("exr", "inr", "steps"), self._returns[index], strict=True))
-                totals["exr"] = infos[index].get(RETURN, totals["exr"])
-                self.episodes.append({**{k: infos[index][k] for k in OUTCOME if k in infos[index]}, **totals})
-                self._returns[index] = 0.0
 
     def _value(self, observation: Floats) -> float:
         with th.no_grad():
             states = (th.zeros(1, 1, 1), th.zeros(1, 1, 1))  # the critic has no memory
             value = self._sgn.predict_values(th.from_numpy(observation[None]), states, th.zeros(1))
         return float(value)
-
-    def _decide(self, observations: Floats, which: NDArray[np.bool_], starts: NDArray[np.bool_]) -> None:
-        """Ask SGN for new sub-goals of the environments in ``which``."""
-        rows = np.flatnonzero(which)
-        if len(rows) == 0:
-            return
-        self._hidden[starts] = 0.0
-        chosen, before = observations[rows], self._hidden[rows]
-        state = th.from_numpy(before).unsqueeze(0)
-        pair = (state[:, :, 0].contiguous(), state[:, :, 1].contiguous())
-        with th.no_grad():
-            output, values, log_probs, after = self._sgn(
-                th.from_numpy(chosen),
-                RNNStates(pair, pair),
-                th.zeros(len(rows)),
-                deterministic=self._deterministic,
-            )
-        self._hidden[rows] = th.stack([after.pi[0][0], after.pi[1][0]], dim=1).numpy()
-        outputs = output.numpy()
-        for slot, index in enumerate(rows):
-            self.recorder.decisions[index].append(
-                Decision(
-                    chosen[slot],
-                    outputs[slot],
-                    float(log_probs[slot]),
-                    float(values[slot]),
-                    before[slot],
-                    bool(starts[index]),
-                )
-            )
-        everywhere = np.zeros((self.num_envs, self._goals.outputs), np.float32)
-        everywhere[rows] = outputs
-        self.subgoals[rows] = self._goals.subgoals(everywhere)[rows]
-        self._left[rows] = self._interval
-        self._best[rows] = self._distances(observations)[rows]

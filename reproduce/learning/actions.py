@@ -40,7 +40,7 @@ _ANGLES = np.r_[
 
 
 def to_environment(observations: Floats, outputs: Floats) -> Floats:
-    """Eq. 3's actions (n, 11) from flat observations (n, SIZE or more) and a network's outputs (n, 11) in [-1, 1]."""
+    """Return Eq. 3's actions (n, 11) for flat observations (n, SIZE or more) and outputs (n, 11) in [-1, 1]."""
     angles = observations[:, _ANGLES]
     held = np.clip(observations[:, SLICES["a_prev"]], angles - LARGEST_CHANGE, angles + LARGEST_CHANGE)
     wanted = held + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)

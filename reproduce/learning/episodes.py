@@ -14,16 +14,16 @@ from reproduce.learning.workers import RETURN
 
 
 class EpisodeLog(VecEnvWrapper):
-    """Turns a network's outputs into Eq. 3's actions and adds up the environment's reward of each episode.
+    """Turns a network's outputs into Eq. 3's actions and adds up the rewards of each episode.
 
     Attributes:
-        episodes: Outcome, return and steps of the episodes that ended; whoever reads the list empties it.
+        episodes: Outcome, returns and steps of the episodes that ended; whoever reads the list empties it.
     """
 
-    def __init__(self, venv: Any) -> None:
-        super().__init__(venv)
+    def __init__(self, venv: Any, **spaces: Any) -> None:
+        super().__init__(venv, **spaces)
         self.episodes: list[dict[str, Any]] = []
-        self._totals = np.zeros((self.num_envs, 2))  # reward, steps
+        self._totals = np.zeros((self.num_envs, 3))  # EXR, INR, steps
 
     def reset(self) -> Any:
         """Begin new episodes in all environments; those under way are not listed."""
@@ -37,13 +37,15 @@ class EpisodeLog(VecEnvWrapper):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Wait for the environments and list the episodes that ended."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        self._totals += np.column_stack([rewards, np.ones(self.num_envs)])
+        self._last, rewards, dones, infos = self.venv.step_wait()
+        self.add_up(rewards, np.full(self.num_envs, np.nan), dones, infos)
+        return self._last, rewards, dones, infos
+
+    def add_up(self, exr: Any, inr: Any, dones: Any, infos: list[dict[str, Any]]) -> None:
+        """Add a step's rewards (n,), from outside and, where there are two layers, inside; list what ended."""
+        self._totals += np.column_stack([exr, inr, np.ones(self.num_envs)])
         for index in np.flatnonzero(dones):
-            total, steps = self._totals[index]
-            outcome = {key: infos[index][key] for key in OUTCOME}
-            total = infos[index].get(RETURN, total)
-            self.episodes.append({**outcome, "exr": total, "inr": float("nan"), "steps": steps})
-            self._totals[index] = 0.0
-        self._last = observations
-        return observations, rewards, dones, infos
+            info, totals = infos[index], dict(zip(("exr", "inr", "steps"), self._totals[index], strict=True))
+            outcome = {key: info[key] for key in OUTCOME if key in info}
+            self.episodes.append({**outcome, **totals, "exr": info.get(RETURN, totals["exr"])})
+        self._totals[np.asarray(dones, bool)] = 0.0

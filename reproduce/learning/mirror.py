@@ -35,7 +35,7 @@ ACTIONS = np.r_[5:10, 0:5, 10]
 
 
 def _observation_map() -> tuple[NDArray[np.int64], Floats]:
-    """Where each entry of a mirrored observation comes from, and its sign."""
+    """Return where each entry of a mirrored observation comes from, and its sign, (SIZE,) each."""
     source, sign = np.arange(SIZE), np.ones(SIZE, np.float32)
 
     def put(key: str, order: Any, signs: Any = 1.0) -> None:
@@ -69,17 +69,17 @@ _CENTRE = SLICES["P_P"].start + 1  # y of the centre of gravity
 
 
 def mirror_observations(observations: Floats) -> Floats:
-    """Observations (n, SIZE) as they would be in the mirror image; twice gives what was there."""
+    """Return observations (n, SIZE) as they would be in the mirror image; twice gives what was there."""
     return observations[:, _SOURCE] * _SIGN
 
 
 def mirror_actions(actions: Floats) -> Floats:
-    """Actions (n, JOINTS) for the mirror image."""
+    """Return actions (n, JOINTS) for the mirror image."""
     return actions[:, ACTIONS]
 
 
 def mirror_points(points: Floats) -> Floats:
-    """A point per arm, (n, 2, 3) [m], in the mirror image."""
+    """Return a point per arm, (n, 2, 3) [m], in the mirror image."""
     return points[:, ::-1] * np.array(POLAR, np.float32)
 
 
@@ -87,7 +87,7 @@ class Mirror:
     """Which of several environments are seen mirrored; decided when an episode begins."""
 
     def __init__(self, count: int) -> None:
-        """Start with none."""
+        """Begin with no environment seen mirrored."""
         self.mirrored = np.zeros(count, bool)
 
     def begin(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
@@ -95,45 +95,30 @@ class Mirror:
         self.mirrored = np.where(starts, observations[:, _HEAD] < observations[:, _CENTRE], self.mirrored)
 
     def observations(self, observations: Floats) -> Floats:
-        """As the learner sees them, (n, SIZE)."""
+        """Return observations as the learner sees them, (n, SIZE)."""
         return np.where(self.mirrored[:, None], mirror_observations(observations), observations)
 
     def actions(self, actions: Floats) -> Floats:
-        """What the learner wants, as the environments want it (and the other way round), (n, JOINTS)."""
+        """Return the learner's actions as the environments want them, or the other way round, (n, JOINTS)."""
         return np.where(self.mirrored[:, None], mirror_actions(actions), actions)
 
     def points(self, points: Floats) -> Floats:
-        """What the learner points at, as it lies in the environments, (n, 2, 3) [m]."""
+        """Return what the learner points at, as it lies in the environments, (n, 2, 3) [m]."""
         return np.where(self.mirrored[:, None, None], mirror_points(points), points)
 
 
 class MirroredVecEnv(VecEnvWrapper):
-    """Sixteen environments in the learner's view."""
+    """Vectorised environments in the learner's view of them."""
 
     venv: WorkerVecEnv
 
     def __init__(self, venv: WorkerVecEnv) -> None:
-        """Wrap environments."""
         super().__init__(venv)
         self._mirror = Mirror(venv.num_envs)
         self._everything = np.ones(venv.num_envs, bool)
 
-    @property
-    def terms(self) -> Floats:
-        """Reward terms of the last step, (n, terms); no term knows left from right."""
-        return self.venv.terms
-
-    @property
-    def epoch(self) -> int:
-        """See ``WorkerVecEnv``."""
-        return self.venv.epoch
-
-    @epoch.setter
-    def epoch(self, value: int) -> None:
-        self.venv.epoch = value
-
     def reset(self) -> Floats:
-        """Begin new episodes everywhere."""
+        """Begin new episodes everywhere; return the first observations as the learner sees them."""
         observations = self.venv.reset()
         self._mirror.begin(observations, self._everything)
         return self._mirror.observations(observations)

@@ -9,16 +9,32 @@ Task code I and previous action a_{t-1} are part of the observation. Each has a 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch as th
 from gymnasium import spaces
+from numpy.typing import NDArray
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
+from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
+from lunar_rescue.scenes.records import checked
 from reproduce.learning.standardiser import Standardiser
+from reproduce.storage.policies import Spec
+
+Floats = NDArray[np.float32]
+
+
+def flat_spaces(observations: int, actions: int) -> tuple[spaces.Box, spaces.Box]:
+    """Return the spaces of observations (observations,), without bounds, and of actions (actions,) in [-1, 1]."""
+    return (
+        spaces.Box(-np.inf, np.inf, (observations,), np.float32),
+        spaces.Box(-1.0, 1.0, (actions,), np.float32),
+    )
 
 
 class StateEncoder(BaseFeaturesExtractor):
@@ -36,7 +52,7 @@ class StateEncoder(BaseFeaturesExtractor):
         self.layer = nn.Sequential(Standardiser(size), nn.Linear(size, features_dim), nn.Tanh())
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """(n, d) to (n, features_dim)."""
+        """Encode observations (n, d) as features (n, features_dim)."""
         encoded: th.Tensor = self.layer(observations)
         return encoded
 
@@ -81,9 +97,54 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
         self.optimizer = make_optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-def layer_table(network: nn.Module) -> list[dict[str, object]]:
-    """Rows layer, kind, shape, parameters of a network, for notebooks."""
-    rows = []
-    for name, parameter in network.named_parameters():
-        rows.append({"layer": name, "shape": tuple(parameter.shape), "parameters": parameter.numel()})
-    return rows
+@checked
+@dataclass(frozen=True)
+class NetworkSpec(Spec):
+    """All that is needed to build a ``RecurrentNetwork``."""
+
+    bounded_mean: bool
+    """Whether the mean passes a tanh."""
+
+    def build(self) -> RecurrentNetwork:
+        """Make the network, not trained."""
+        seen, acts = flat_spaces(self.observations, self.actions)
+        return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean)
+
+
+class Memory:
+    """LSTM states of one network in several environments, and what the network puts out from them."""
+
+    def __init__(self, network: RecurrentNetwork, count: int) -> None:
+        """Begin with empty states of ``count`` environments."""
+        self._network = network
+        self._states = th.zeros(2, 1, count, network.lstm_actor.hidden_size)  # hidden and cell state
+
+    def forget(self, starts: NDArray[np.bool_]) -> None:
+        """Empty the states of environments (n,) that begin an episode."""
+        self._states[:, :, th.from_numpy(np.asarray(starts, bool))] = 0.0
+
+    @th.no_grad()
+    def act(self, observations: Floats, rows: NDArray[np.int64]) -> Floats:
+        """Return the means (m, a), cut to [-1, 1], for observations (m, d) of environments ``rows`` (m,)."""
+        index = th.from_numpy(rows)
+        hidden, cell = self._states[:, :, index]
+        distribution, after = self._network.get_distribution(
+            th.from_numpy(observations), (hidden, cell), th.zeros(len(rows))
+        )
+        self._states[:, :, index] = th.stack(after)
+        return np.clip(distribution.get_actions(deterministic=True).numpy(), -1.0, 1.0)
+
+    @th.no_grad()
+    def draw(self, observations: Floats, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats, Floats]:
+        """Draw outputs for observations (m, d) of environments ``rows`` (m,).
+
+        Returns:
+            Outputs (m, a), logarithms of their probability density (m,), values (m,) and the states before (m, 2, h).
+        """
+        index = th.from_numpy(rows)
+        hidden, cell = self._states[:, :, index]
+        states = RNNStates((hidden, cell), (hidden, cell))
+        outputs, values, log_probs, after = self._network(th.from_numpy(observations), states, th.zeros(len(rows)))
+        self._states[:, :, index] = th.stack(after.pi)
+        before = th.stack([hidden[0], cell[0]], dim=1)
+        return outputs.numpy(), log_probs.numpy(), values.flatten().numpy(), before.numpy()

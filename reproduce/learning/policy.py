@@ -23,43 +23,42 @@ class Policy(Protocol):
 
         Args:
             observations: Flat observations (n, SIZE).
-            starts: Which environments begin an episode with this observation (n,).
+            starts: Which environments begin an episode with this observation (n,); in the first call all do.
 
         Returns:
             Actions (n, 11) in [-1, 1].
         """
-        ...
 
     def overlay(self) -> dict[str, NDArray[Any]]:
-        """What the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
-        ...
+        """Return what the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
 
 
 class MirroredPolicy(ABC):
-    """One network that acts every step, seeing scenes through ``reproduce.learning.mirror`` if it was trained so."""
+    """Networks that act every step, seeing scenes through ``reproduce.learning.mirror`` if they were trained so."""
 
     def __init__(self, mirrored: bool) -> None:
-        """Start without environments."""
-        self._mirrored, self._count = mirrored, 0
+        """Make a policy that acts in no environment yet."""
+        self.mirrored, self._count = mirrored, 0
 
     @abstractmethod
     def begin(self, count: int) -> None:
-        """Forget all and be ready for so many environments."""
+        """Forget everything and be ready for ``count`` environments."""
 
     @abstractmethod
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """What the network puts out (n, 11) for observations in its own view (n, SIZE)."""
+        """Return what the network puts out (n, 11) for observations in its own view (n, SIZE)."""
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
+        """Choose actions, see ``Policy.act``; the first call, and one for another n, begins an episode everywhere."""
         if len(observations) != self._count:
             self._count, self._mirror = len(observations), Mirror(len(observations))
             self.begin(self._count)
-        if self._mirrored:
+            starts = np.ones(self._count, bool)
+        if self.mirrored:
             self._mirror.begin(observations, starts)
         seen = self._mirror.observations(observations)
         return self._mirror.actions(to_environment(seen, self.outputs(seen, starts)))
 
     def overlay(self) -> dict[str, NDArray[Any]]:
-        """Nothing to draw: no sub-goal that lies in space."""
+        """Return nothing to draw: no sub-goal that lies in space."""
         return {}

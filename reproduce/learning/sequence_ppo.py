@@ -102,16 +102,8 @@ class SequencePPO(RecurrentPPO):
         hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
         if self.return_cuts is not None:
             self._cut_returns(buffer, self.return_cuts)
-        return Rollout(
-            observations=_env_major(buffer.observations),
-            actions=_env_major(buffer.actions),
-            log_probs=_env_major(buffer.log_probs),
-            values=_env_major(buffer.values),
-            advantages=_env_major(buffer.advantages),
-            returns=_env_major(buffer.returns),
-            hidden=_env_major(hidden),
-            bounds=np.array(bounds, dtype=np.int64),
-        )
+        columns = {name: _env_major(getattr(buffer, name)) for name in ("observations", *TARGETS)}
+        return Rollout(**columns, hidden=_env_major(hidden), bounds=np.array(bounds, dtype=np.int64))
 
     def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
         """Estimate advantages and returns anew, with nothing flowing back over a cut."""

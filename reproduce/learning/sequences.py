@@ -23,27 +23,16 @@ TARGETS = ("actions", "log_probs", "values", "advantages", "returns")
 
 @dataclass
 class Rollout:
-    """Transitions of several environments: in the order of time within each, environments end to end.
+    """Transitions of several environments: in the order of time within each, environments end to end."""
 
-    Attributes:
-        observations: (m, d).
-        actions: (m, a), as drawn (not clipped).
-        log_probs: Logarithm of the actions' probability density when they were drawn, (m,).
-        values: The critic's values when the observations were seen, (m,).
-        advantages: (m,).
-        returns: (m,).
-        hidden: LSTM state before each observation, (m, 2, h).
-        bounds: Beginning and end of each sequence, (s, 2).
-    """
-
-    observations: Floats
-    actions: Floats
-    log_probs: Floats
-    values: Floats
-    advantages: Floats
-    returns: Floats
-    hidden: Floats
-    bounds: NDArray[np.int64]
+    observations: Floats  # (m, d)
+    actions: Floats  # as drawn, not clipped (m, a)
+    log_probs: Floats  # logarithm of the actions' probability density when they were drawn (m,)
+    values: Floats  # the critic's when the observations were seen (m,)
+    advantages: Floats  # (m,)
+    returns: Floats  # (m,)
+    hidden: Floats  # LSTM state before each observation (m, 2, h)
+    bounds: NDArray[np.int64]  # beginning and end of each sequence (s, 2)
 
     def __len__(self) -> int:
         """Return the number of transitions, m."""
@@ -52,19 +41,12 @@ class Rollout:
 
 @dataclass
 class Minibatch:
-    """Sequences padded to the longest; per-transition tensors hold real transitions only, in the mask's order.
+    """Sequences padded to the longest; per-transition tensors hold real transitions only, in the mask's order."""
 
-    Attributes:
-        observations: (length, n, d), padding repeats a sequence's last observation.
-        hidden: Initial hidden and cell state, each (1, n, h).
-        mask: Which of (length, n) are real.
-        rows: Index of each real transition in the rollout.
-    """
-
-    observations: th.Tensor
-    hidden: tuple[th.Tensor, th.Tensor]
-    mask: th.Tensor
-    rows: th.Tensor
+    observations: th.Tensor  # (length, n, d), padding repeats a sequence's last observation
+    hidden: tuple[th.Tensor, th.Tensor]  # initial hidden and cell state, each (1, n, h)
+    mask: th.Tensor  # which of (length, n) are real
+    rows: th.Tensor  # index of each real transition in the rollout
 
 
 def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[tuple[int, int]]:

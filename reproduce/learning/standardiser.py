@@ -1,4 +1,4 @@
-"""Observations standardised inside the network."""
+"""Observations are standardised inside the network, by statistics that travel with its weights."""
 
 from __future__ import annotations
 

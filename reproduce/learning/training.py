@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from torch import nn
 
 from lunar_rescue.scenes.postures import Posture, postures
-from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.config import LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.mirror import Environments, MirroredVecEnv
-from reproduce.learning.vec_env import ClosedVecEnv
-from reproduce.learning.workers import EnvOptions, WorkerVecEnv
+from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.sequence_ppo import SequencePPO
+from reproduce.learning.workers import ClosedVecEnv, EnvOptions, WorkerVecEnv
+from reproduce.storage.policies import Spec
 
 
 def make_environments(config: TrainingConfig, seed: int) -> Environments:
-    """The environments of a training, as learners see them, with the postures of its curriculum."""
+    """Start the environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
     drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
     options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else (), config.scenes == "easy")
@@ -26,36 +32,45 @@ def make_environments(config: TrainingConfig, seed: int) -> Environments:
 
 
 def _weight(posture: Posture, lying_weight: int) -> int:
-    """How many times as often as a posture on a side one is drawn in training."""
+    """Return how many times as often as a posture on a side one is drawn in training."""
     return 1 if posture.attitude.endswith("side") else lying_weight
 
 
 def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
-    return {
-        "learning_rate": lambda left: (
-            config.final_learning_rate + left * (config.learning_rate - config.final_learning_rate)
-        ),
-        "n_steps": config.n_steps,
-        "batch_size": config.batch_size,
-        "n_epochs": config.n_epochs,
-        "gamma": config.gamma,
-        "gae_lambda": config.gae_lambda,
-        "clip_range": config.clip_range,
-        "ent_coef": config.ent_coef,
-        "vf_coef": config.vf_coef,
-        "max_grad_norm": config.max_grad_norm,
-        "device": "cpu",
-    }
+    """Return what SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
+    first, last = config.learning_rate, config.final_learning_rate
+    names = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
+    same = {name: getattr(config, name) for name in names}
+    return {"learning_rate": lambda left: last + left * (first - last), "device": "cpu", **same}
 
 
 def own_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """What only ``SequencePPO`` and its subclasses take."""
+    """Return what only ``SequencePPO`` and its subclasses take of it."""
     return {
         "sequence_length": config.sequence_length,
         "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
         "desired_kl": (config.desired_kl, config.final_desired_kl),
     }
+
+
+def make_learner(
+    env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
+) -> Any:
+    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
+    learner = kind(
+        RecurrentNetwork,
+        env,
+        policy_kwargs={
+            "hidden_units": config.hidden_units,
+            "bounded_mean": bounded_mean,
+            "log_std_init": config.log_std_init,
+        },
+        seed=seed,
+        **stock_arguments(config),
+        **(own_arguments(config) if issubclass(kind, SequencePPO) else {}),
+    )
+    learner.set_logger(Logger(folder=None, output_formats=[]))
+    return learner
 
 
 def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = None) -> BaseCallback:
@@ -70,7 +85,7 @@ def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = N
 
 
 def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
-    """Means over the episodes that ended in an update, as if all postures were drawn alike; NaN where none ended."""
+    """Return means over the episodes of an update, as if all postures were drawn alike; NaN where none ended."""
     known = postures()
     shares = [1.0 / _weight(known[e["posture"]], lying_weight) if "posture" in e else 1.0 for e in episodes]
 
@@ -88,35 +103,39 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
     }
 
 
-class CollectedTraining:
-    """What all trainings share; a subclass makes the learners and says what an update does.
+class Training(ABC):
+    """A training under way; a subclass makes the learners and says what an update does.
 
     Attributes:
         config: The configuration.
         venv: The environments.
         env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
         learners: All learners by level.
+        steps_per_update: Environment steps of one update.
         logged: What of each learner's log goes into ``progress.csv``.
     """
 
     logged: tuple[str, ...] = ()
 
     def __init__(
-        self, config: TrainingConfig, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any]
+        self,
+        config: TrainingConfig,
+        venv: Environments,
+        env: Any,
+        collector: Any,
+        learners: Mapping[str, Any],
+        n_steps: int,
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
         self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self.steps_per_update = n_steps * config.n_envs
         self._collector = collector
         self.callback = start_collecting(collector, config.steps)
 
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps of one update."""
-        return self.config.low.n_steps * self.config.n_envs
-
     def restart(self, update: int) -> None:
         """Begin new episodes with empty memories; what a resumed run does too."""
-        self.venv.epoch = update
+        environments: Any = self.venv.unwrapped
+        environments.epoch = update
         start_collecting(self._collector, self.config.steps, self.callback)
 
     def follow_schedule(self, done: int) -> None:
@@ -126,7 +145,7 @@ class CollectedTraining:
             learner.where = f"{level}, update {done // self.steps_per_update + 1}"
 
     def row(self) -> dict[str, Any]:
-        """The row of ``progress.csv`` for what happened since the last one."""
+        """Return the row of ``progress.csv`` for what happened since the last one."""
         row = episode_summary(self.env.episodes, self.config.lying_weight)
         self.env.episodes = []
         for name, learner in self.learners.items():
@@ -134,19 +153,29 @@ class CollectedTraining:
                 row[f"{name}_{key}"] = learner.logger.name_to_value.get(f"train/{key}", np.nan)
         return row
 
-    def policy_metadata(self) -> dict[str, Any]:
-        """What else than networks is needed to act, plain data."""
-        return {}
+    @abstractmethod
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect and learn once, after ``done`` steps; return a row of ``progress.csv``."""
+
+    @abstractmethod
+    def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:
+        """Return what acts, by level: how to build it, and it."""
 
     def close(self) -> None:
-        """Stop the environments."""
+        """Stop the environments and their workers."""
         self.venv.close()
 
 
-class RecurrentTraining(CollectedTraining):
-    """What trainings with recurrent PPO share."""
+class RecurrentTraining(Training):
+    """A training with recurrent PPO, one rollout an update."""
 
+    config: RecurrentConfig
     logged = ("approx_kl", "explained_variance", "std", "value_loss")
+
+    def __init__(
+        self, config: RecurrentConfig, venv: Any, env: Any, collector: Any, learners: Mapping[str, Any]
+    ) -> None:
+        super().__init__(config, venv, env, collector, learners, config.low.n_steps)
 
     def collect(self, done: int) -> None:
         """Take one rollout; ``done`` steps were taken before."""

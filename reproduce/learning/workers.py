@@ -12,19 +12,19 @@ import traceback
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import RawArray
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
 
 from lunar_rescue import Scene, rewards, sample_scene
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.scene import MASS_RANGE
-from reproduce.learning.splits import train_seed
-from reproduce.learning.vec_env import ClosedVecEnv
+from lunar_rescue.scenes.splits import TRAIN
 from reproduce.storage.processes import die_with_parent, start_fork_server
 
 #: Names of the reward's terms in the order of the shared array.
@@ -43,17 +43,11 @@ class WorkerError(RuntimeError):
 
 @dataclass(frozen=True)
 class EnvOptions:
-    """How the environments of all workers are made and which scenes they show.
+    """How the environments of all workers are made and which scenes they show."""
 
-    Attributes:
-        arguments: Keyword arguments of ``LunarRescueEnv``.
-        postures: Postures to draw from; empty means all.
-        easy: Whether every scene is one of ``easy_scene``.
-    """
-
-    arguments: dict[str, Any]
-    postures: tuple[str, ...] = ()
-    easy: bool = False
+    arguments: dict[str, Any]  # keyword arguments of ``LunarRescueEnv``
+    postures: tuple[str, ...] = ()  # to draw from; empty means all
+    easy: bool = False  # whether every scene is one of ``easy_scene``
 
 
 def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
@@ -121,6 +115,11 @@ def _work(pipe: Connection, *share: Any) -> None:
         pipe.send(WorkerError(traceback.format_exc()))
 
 
+def train_seed(run_seed: int, env: int, epoch: int, episode: int) -> int:
+    """Draw a scene seed of the ``train`` split from the run's seed, the environment, the restart and the episode."""
+    return int(np.random.default_rng([run_seed, env, epoch, episode]).integers(TRAIN.start, TRAIN.stop))
+
+
 def easy_scene(seed: int) -> Scene:
     """Draw a scene of one posture with the lightest astronaut and no rocks, which any method that works can learn."""
     return replace(sample_scene(seed, posture=EASY_POSTURE), rocks=(), mass=MASS_RANGE[0])
@@ -134,6 +133,25 @@ def _options(seed: int, options: EnvOptions) -> dict[str, Any]:
 
 def _shapes(count: int) -> list[tuple[int, ...]]:
     return [(count, SIZE), (count, JOINTS), (count,), (count,), (count, len(TERMS))]
+
+
+class ClosedVecEnv(VecEnv):
+    """A vectorised environment without access to single environments, which live elsewhere or do not exist."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return ``render_mode``, which SB3 asks for; no other attribute can be read."""
+        return [None] * self.num_envs if attr_name == "render_mode" else self.refuse(attr_name)
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Say of each environment that it is not wrapped."""
+        return [False] * self.num_envs
+
+    def refuse(self, name: str, *args: Any, **kwargs: Any) -> NoReturn:
+        """Refuse to set an attribute or to call a method of single environments."""
+        raise AttributeError(f"{type(self).__name__}: single environments are out of reach; {name!r} is not available")
+
+    set_attr: Any = refuse
+    env_method: Any = refuse
 
 
 class WorkerVecEnv(ClosedVecEnv):

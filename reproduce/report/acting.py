@@ -65,4 +65,4 @@ def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, tas
 
 def ending(row: dict[str, Any]) -> str:
     """Say in words how a rescue ended."""
-    return "rescued" if row["is_success"] else f"failed by {str(row['failure']).replace('_', ' ')}"
+    return "rescued" if row["success"] else f"failed by {str(row['failure']).replace('_', ' ')}"

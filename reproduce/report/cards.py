@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -24,6 +23,7 @@ SHARED = (
     "run.json",
     "progress.csv",
     "evaluation.json",
+    "evaluation.csv",
     "heldout.json",
 )
 
@@ -102,14 +102,14 @@ def _about(run: Run) -> str:
 def _results(run: Run) -> str:
     lines = []
     for name, words in (("evaluation", "test scenes, drawn as the training scenes are"), ("heldout", HELDOUT_WORDS)):
-        found = run.other(name)
+        found = run.summary(name)
         if found is not None:
             rate, low, high = (100 * found[k] for k in ("success_rate", "wilson_low", "wilson_high"))
             lines.append(f"- **{rate:.1f} %** [{low:.1f} %, {high:.1f} %] of {found['tests']} {words}")
-    found = run.other("evaluation")
-    if found is None:
+    found, tests = run.evaluation, run.rows()
+    if found is None or tests is None:
         return "Not evaluated yet.\n"
-    table = by_condition(found).reset_index()
+    table = by_condition(tests).reset_index()
     table = table[table["of"].isin(["task", "ground", "mass", "posture"])]
     rows = [
         f"| {r['of']} | {str(r['which']).replace('_', ' ')} | {r['tests']} | {100 * r['success']:.1f} % "
@@ -130,19 +130,14 @@ def _limits(run: Run) -> str:
         "- A rigid suit, known poses of body and rocks, no sensor noise: see the project's `docs/assumptions.md`.",
         "- One training seed says nothing of the variance between trainings.",
     ]
-    found = run.other("evaluation")
-    if found is not None:
-        worst = _weakest(found)
-        if worst:
-            words.append(f"- Weakest posture: {worst}.")
+    rows = run.rows()
+    if rows is not None:
+        words.append(f"- Weakest posture: {_weakest(rows)}.")
     return "\n".join([*words, ""])
 
 
-def _weakest(found: dict[str, Any]) -> str:
-    table = by_condition(found)
-    if "posture" not in table.index.get_level_values(0):
-        return ""
-    rates = pd.Series(table.loc["posture"]["success"])
+def _weakest(rows: pd.DataFrame) -> str:
+    rates = rows.groupby("posture")["success"].mean()
     return f"{str(rates.idxmin()).replace('_', ' ')}, {100 * float(rates.min()):.0f} %"
 
 

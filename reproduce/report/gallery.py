@@ -41,13 +41,12 @@ def choose_clips(runs: list[Run]) -> list[Clip]:
     """A success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
     clips = []
     for run in runs:
-        if run.evaluation is None or not run.evaluation.get("outcomes"):
+        rows = run.rows()
+        if rows is None:
             continue
         title = METHODS[run.method].title + (f", seed {run.seed}" if run.origin else "")
-        for digit, word in (("1", "success"), ("0", "failure")):
-            place = run.evaluation["outcomes"].find(digit)
-            if place >= 0:
-                seed = int(run.evaluation["first_seed"]) + place
+        for success, word in ((True, "success"), (False, "failure")):
+            for seed in rows["seed"][rows["success"] == success].head(1).tolist():
                 name = f"{run.method}-{run.seed}-{word}.html"
                 clips.append(Clip(title, f"{word}: scene {seed}", _where(run), seed, name))
     shown = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)

@@ -49,7 +49,7 @@ def results_block() -> str:
                 f"{run.minutes:.0f} minutes on {run.origin['machine']['cores']} cores, "
                 f"environment {run.origin['environment_version']}; both arms under in {under:.1f} % of tests."
             )
-            held = run.other("heldout")
+            held = run.summary("heldout")
             if held is not None:
                 low, high = 100 * held["wilson_low"], 100 * held["wilson_high"]
                 lines.append(

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from lunar_rescue.scenes.splits import TRAIN
-from reproduce.experiments.methods import PRESETS
+from reproduce.experiments.presets import PRESETS
 from reproduce.storage.errors import UserError
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)

@@ -13,12 +13,15 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch as th
+from pydantic import NonNegativeFloat, NonNegativeInt
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from lunar_rescue.scenes.records import checked
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_atomically
 from reproduce.storage.policies import read_tensors
+from reproduce.storage.records import differences, from_dict, to_dict
 
 NAME = "checkpoint.safetensors"
 VERSION = 3
@@ -26,34 +29,29 @@ LARGEST = 8_000_000_000  # bytes; a large replay buffer is in it
 
 
 class Learner(Protocol):
-    """What can be kept in a checkpoint."""
+    """A learner that can go on from a checkpoint."""
 
     def state_tensors(self) -> dict[str, th.Tensor]:
-        """All arrays that learning goes on from, by name."""
-        ...
+        """Return all arrays that learning goes on from, by name."""
 
     def state_numbers(self) -> dict[str, Any]:
-        """All else that it goes on from, as plain data."""
-        ...
+        """Return all else that it goes on from, as plain data."""
 
     def load_state(self, tensors: dict[str, th.Tensor], numbers: dict[str, Any]) -> None:
-        """Take over what was kept."""
-        ...
+        """Go on from what the two methods above returned."""
 
 
+@checked
 @dataclass(frozen=True)
 class Progress:
-    """Counters of a training.
+    """How far a training is, in counters."""
 
-    Attributes:
-        update: Updates done.
-        steps: Environment steps done.
-        seconds: Seconds spent training, over all sessions.
-    """
-
-    update: int
-    steps: int
-    seconds: float
+    update: NonNegativeInt
+    """Updates done."""
+    steps: NonNegativeInt
+    """Environment steps done."""
+    seconds: NonNegativeFloat
+    """Seconds spent training, over all sessions."""
 
 
 def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:
@@ -63,7 +61,7 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
     tensors["numpy_rng"] = th.from_numpy(np.asarray(keys).astype(np.int64))
     meta: dict[str, Any] = {
         "version": VERSION,
-        "progress": progress.__dict__,
+        "progress": to_dict(progress),
         "config": config,
         "numpy_rng": [kind, *numbers],
         "learners": {level: learner.state_numbers() for level, learner in learners.items()},
@@ -84,10 +82,10 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     path = folder / NAME
     tensors = read_tensors(path, LARGEST)
     meta = _read_meta(path)
-    if meta["config"] != config:
-        names = sorted(k for k in {*meta["config"], *config} if meta["config"].get(k) != config.get(k))
-        raise UserError(f"{path}: was made with another configuration ({', '.join(names)} differ)")
+    if changes := differences(meta["config"], config):
+        raise UserError(f"{path}: was made with another configuration: {', '.join(changes[:3])}")
     try:
+        progress = from_dict(Progress, meta["progress"], "progress.")
         for level, learner in learners.items():
             prefix = f"{level}."
             own = {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
@@ -95,9 +93,9 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
         th.set_rng_state(tensors["torch_rng"])
         kind, *numbers = meta["numpy_rng"]
         np.random.set_state((kind, tensors["numpy_rng"].numpy().astype(np.uint32), *numbers))  # noqa: NPY002
-        return Progress(**meta["progress"])
-    except (KeyError, TypeError, RuntimeError, ValueError, IndexError, AttributeError) as error:
-        raise UserError(f"{path}: does not fit this training: {error}") from None
+    except (KeyError, TypeError, RuntimeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise UserError(f"{path}: does not fit this training: {' '.join(str(error).split()):.300}") from None
+    return progress
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
@@ -105,19 +103,20 @@ def _read_meta(path: Path) -> dict[str, Any]:
         text = (file.metadata() or {}).get("meta", "")
     try:
         meta = json.loads(text)
-        assert meta["version"] == VERSION and isinstance(meta["config"], dict)
-    except (json.JSONDecodeError, KeyError, TypeError, AssertionError):
-        raise UserError(f"{path}: not a checkpoint of version {VERSION}") from None
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict) or meta.get("version") != VERSION or not isinstance(meta.get("config"), dict):
+        raise UserError(f"{path}: not a checkpoint of version {VERSION}")
     return meta
 
 
 def module_tensors(name: str, module: th.nn.Module) -> dict[str, th.Tensor]:
-    """Weights and statistics of a network, under its name."""
+    """Return weights and statistics of a network, under its name."""
     return {f"{name}.{key}": tensor.clone() for key, tensor in module.state_dict().items()}
 
 
 def optimizer_tensors(name: str, optimizer: th.optim.Optimizer) -> dict[str, th.Tensor]:
-    """What an optimiser remembers of each parameter, under its name."""
+    """Return what an optimiser remembers of each parameter, under its name."""
     return {
         f"{name}.{index}.{key}": th.as_tensor(value).clone()
         for index, state in optimizer.state_dict()["state"].items()
@@ -126,13 +125,13 @@ def optimizer_tensors(name: str, optimizer: th.optim.Optimizer) -> dict[str, th.
 
 
 def restore_module(name: str, module: th.nn.Module, tensors: dict[str, th.Tensor]) -> None:
-    """Put back what ``module_tensors`` gave."""
+    """Load into a network what ``module_tensors`` returned."""
     prefix = f"{name}."
     module.load_state_dict({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
 
 
 def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
-    """Put back what ``optimizer_tensors`` gave."""
+    """Load into an optimiser what ``optimizer_tensors`` returned."""
     prefix, state = f"{name}.", dict[int, dict[str, th.Tensor]]()
     for key, tensor in tensors.items():
         if key.startswith(prefix):
@@ -147,5 +146,5 @@ def delete_checkpoint(folder: Path) -> None:
 
 
 def has_checkpoint(folder: Path) -> bool:
-    """Whether a training can go on from here."""
+    """Return whether a training can go on from here."""
     return (folder / NAME).is_file()

@@ -31,7 +31,7 @@ def check_writable(path: Path) -> None:
     try:
         if path.is_dir():
             raise UserError(f"{path}: expected a file to write, got a folder")
-        if _is_stream(path):
+        if is_stream(path):
             if not os.access(path, os.W_OK):
                 raise UserError(f"{path}: cannot be written: permission denied")
             return
@@ -56,7 +56,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     try:
         if path.is_dir():
             raise UserError(f"{path}: expected a file to write, got a folder")
-        if _is_stream(path):
+        if is_stream(path):
             _write_stream(path, write)
         else:
             _replace(path.resolve(), write)
@@ -64,7 +64,8 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _is_stream(path: Path) -> bool:
+def is_stream(path: Path) -> bool:
+    """Return whether a path is no regular file, or a shell's redirection, so that nothing can lie beside it."""
     named = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
     return path.exists() and (named or not path.is_file())
 

@@ -24,6 +24,9 @@ def checked(cls: type[T]) -> type[T]:
         cls: A standard dataclass; its ``__post_init__`` checks what types and ranges cannot say.
     """
     parameters = cls.__dataclass_params__  # type: ignore[attr-defined]
+    if hasattr(cls, "__pydantic_validator__"):  # of a base; of such a class pydantic would make a dataclass twice
+        names = {name: getattr(cls, name) for name in ("__module__", "__qualname__", "__doc__")}
+        cls = type(cls.__name__, (cls,), names)
     strict = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
     record: Any = pydantic_dataclass(cls, frozen=parameters.frozen, eq=parameters.eq, config=strict)
     validated = record.__init__

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
@@ -15,9 +15,12 @@ from torch import nn
 from torch.distributions import Normal
 from torch.nn import functional
 
+from lunar_rescue.scenes.records import checked
+from reproduce.baselines.feudal.config import Horizon
 from reproduce.baselines.feudal.levels import Manager, Worker
-from reproduce.learning.networks import StateEncoder
-from reproduce.learning.spaces import flat_spaces
+from reproduce.learning.networks import StateEncoder, flat_spaces
+from reproduce.storage.policies import Spec
+from reproduce.storage.records import Units
 
 
 class Memory(NamedTuple):
@@ -69,27 +72,17 @@ class Step:
     manager_values: th.Tensor
 
 
+@checked
 @dataclass(frozen=True)
-class FunSpec:
-    """Sizes, which are all that is needed to build the network.
+class FunSpec(Spec):
+    """Sizes, which are all that is needed to build the network."""
 
-    Attributes:
-        observations: Size of the flat observation.
-        actions: Size of the action.
-        hidden_units: Units of the percept, of Worker's LSTM and of the critics.
-        goal_size: d.
-        embedding_size: k.
-        horizon: c and r.
-    """
-
-    MOST: ClassVar[dict[str, int]] = {"horizon": 1000}  # what a foreign run folder may ask for
-
-    observations: int
-    actions: int
-    hidden_units: int
-    goal_size: int
-    embedding_size: int
-    horizon: int
+    goal_size: Units
+    """d, size of a goal."""
+    embedding_size: Units
+    """k, size of a goal as Worker sees it."""
+    horizon: Horizon
+    """c and r, see ``FunConfig``."""
 
     def build(self) -> FunNetwork:
         """Make a network of these sizes, not trained."""

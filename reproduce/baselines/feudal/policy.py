@@ -8,9 +8,12 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from lunar_rescue.observation import SIZE
+from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.feudal.network import FunNetwork, FunSpec
+from reproduce.learning.config import PolicyConfig
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.storage.policies import load_networks
+from reproduce.storage.policies import load_networks, load_policy_config
 
 LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
 
@@ -41,7 +44,7 @@ class FunPolicy(MirroredPolicy):
         return actions
 
 
-def load_network(folder: Path, sizes: tuple[int, int]) -> FunNetwork:
-    """Read the network of a run folder whose observations and actions have ``sizes``; see ``load_networks``."""
-    network: FunNetwork = load_networks(folder, {LEVEL: sizes}, FunSpec)[LEVEL]
-    return network
+def load_feudal_policy(folder: Path) -> FunPolicy:
+    """Read the policy of a run folder; see ``load_networks``."""
+    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, FunSpec)
+    return FunPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)

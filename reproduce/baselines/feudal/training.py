@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.logger import Logger
 
-from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.config import FeudalConfig, FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.network import FunNetwork, FunSpec
 from reproduce.baselines.feudal.policy import LEVEL
-from reproduce.learning.config import LearnerConfig, TrainingConfig
+from reproduce.learning.config import LearnerConfig
 from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.training import RecurrentTraining, make_environments, own_arguments, stock_arguments
 
@@ -34,7 +34,9 @@ def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int)
 class FunTraining(RecurrentTraining):
     """Trains Manager and Worker; an ``update`` is one rollout and one training of both on it."""
 
-    def __init__(self, config: TrainingConfig, seed: int) -> None:
+    config: FeudalConfig
+
+    def __init__(self, config: FeudalConfig, seed: int) -> None:
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
         self.learner = make_fun_learner(env, config.low, config.fun, seed)

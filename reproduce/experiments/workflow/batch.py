@@ -16,7 +16,7 @@ from typing import IO
 
 import pandas as pd
 
-from reproduce.experiments.workflow.plan import TARGETS, Job, Plan, cores
+from reproduce.experiments.workflow.plan import TARGETS, Job, Plan
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import locked, write_atomically, write_json
 from reproduce.storage.processes import end_with
@@ -55,38 +55,33 @@ def run_batch(
         UserError: When the folder cannot be written or belongs to another batch under way.
         RunFailedError: With the list of what failed.
     """
-    settings = _profile(profile)
-    if slots < 1:
-        raise UserError(f"--slots: expected at least 1, got {slots}")
-    if until not in TARGETS:
-        raise UserError(f"--until: expected one of {', '.join(TARGETS)}; got {until!r}")
-    out, jobs = out.resolve(), plan.jobs(until)
-    limits = ["--profile", str(settings), "--cores", str(slots * plan.threads), "--jobs", str(slots)]
+    out, options = out.resolve(), _options(plan, profile, slots, until)
     if dry_run:
-        _tell_what_is_left(plan, out, [f"until_{until}", *limits], echo)
+        _tell_what_is_left(plan, out, options, echo)
         return
     with locked(out, "the batch", name=LOCK) as lock:
         write_json(out / "batch.json", asdict(plan))
         begun = time.time()
-        code = _run(_command(out, out / "batch.json", [f"until_{until}", *limits]), out, lock, echo)
+        code = _run(_command(out, out / "batch.json", options), out, lock, echo)
+        jobs = plan.jobs(until)
         failed = [job for job in jobs if not (out / job.output).is_file()]
         if code or failed:
             raise RunFailedError(_what_failed(failed, code, out, begun))
         _write_timings(jobs, out)
 
 
-def default_slots() -> int:
-    """Return how many steps run at once on this machine: one for two cores."""
-    return max(1, cores() // 2)
-
-
-def _profile(profile: str) -> Path:
+def _options(plan: Plan, profile: str, slots: int, until: str) -> list[str]:
+    """Return Snakemake's target and options, or refuse what makes no sense."""
     settings = HERE / "profiles" / profile if profile in PROFILES else Path(profile)
     if not (settings / "config.yaml").is_file():
-        raise UserError(
-            f"--profile: expected one of {', '.join(PROFILES)} or a folder with config.yaml; got {profile!r}"
-        )
-    return settings.resolve()
+        names = ", ".join(PROFILES)
+        raise UserError(f"--profile: expected one of {names} or a folder with config.yaml; got {profile!r}")
+    if slots < 1:
+        raise UserError(f"--slots: expected at least 1, got {slots}")
+    if until not in TARGETS:
+        raise UserError(f"--until: expected one of {', '.join(TARGETS)}; got {until!r}")
+    limits = ["--cores", str(slots * plan.threads), "--jobs", str(slots)]
+    return [f"until_{until}", "--profile", str(settings.resolve()), *limits]
 
 
 def _command(folder: Path, plan: Path, options: list[str]) -> list[str]:

@@ -15,17 +15,19 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.experiments.evaluations import EVALUATIONS, TESTS
+from reproduce.experiments.evaluations import EVALUATIONS, TESTS, evaluations_of
 from reproduce.experiments.methods import METHODS, get_method
-from reproduce.learning.config import TrainingConfig, to_dict
+from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import notebook_files
+from reproduce.storage.records import to_dict
 
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
 REPORT = "report/index.html"
-TARGETS = ("policies", "tables", "report")
+#: What a batch can stop at, each with the place to look at then.
+TARGETS = {"policies": "reference", "tables": "tables", "report": REPORT}
 MOST_SEEDS = 1000
 
 
@@ -113,12 +115,6 @@ class Plan:
         """Return each method with each of its seeds; a method that does not learn has seed 0 alone."""
         return [(m, s) for m in self.methods for s in (self.seeds if self.learns(m) else (0,))]
 
-    def checks(self, method: str) -> list[str]:
-        """Return the names of a method's evaluations."""
-        if not self.learns(method):
-            return ["evaluation"]
-        return list(EVALUATIONS) if method == "hrl_dcs" else ["evaluation", "heldout"]
-
     def tests(self, check: str) -> int:
         """Return the number of scenes of an evaluation."""
         return TESTS[self.preset][EVALUATIONS[check].few]
@@ -129,7 +125,7 @@ class Plan:
 
     def evaluations(self) -> list[str]:
         """Return the files of all evaluations."""
-        return [f"{folder(m, s)}/{check}.json" for m, s in self.runs() for check in self.checks(m)]
+        return [f"{folder(m, s)}/{check}.json" for m, s in self.runs() for check in evaluations_of(m)]
 
     def jobs(self, until: str = "report") -> list[Job]:
         """Return the steps up to one of ``TARGETS``, each after those that it needs."""
@@ -139,7 +135,7 @@ class Plan:
             if self.learns(method):
                 jobs.append(Job("train", f"train {name}", where / "run.json", label))
             if until != "policies":
-                for check in self.checks(method):
+                for check in evaluations_of(method):
                     jobs.append(Job("evaluate", f"{check} of {name}", where / f"{check}.json", f"{label}_{check}"))
         if until != "policies":
             jobs.append(Job("tables", "tables", Path(TABLES[-1]), "all"))

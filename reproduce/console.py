@@ -1,0 +1,100 @@
+"""What all commands share: options, whose paths are checked before any work begins, and how a command ends."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import typer.core
+
+from reproduce.storage.errors import RunFailedError, StoppedError, UserError
+from reproduce.storage.files import check_writable
+from reproduce.storage.processes import Stop, stop_signals
+
+AS_NEEDED = "begin, go on, or do nothing where this training has ended; another configuration's files are set aside"
+
+
+def as_path(text: str) -> Path:
+    """Read a path; an empty one, as of a variable that is not set, would be taken for the current folder."""
+    if not text.strip():
+        raise typer.BadParameter("expected a path, got an empty one")
+    return Path(text)
+
+
+def as_file(text: str) -> Path:
+    """Read the path of a file to write, and refuse it before the work begins where it cannot be written."""
+    check_writable(path := as_path(text))
+    return path
+
+
+def folder(words: str) -> Any:
+    """Return an option that takes the path of a folder; ``words`` are its help."""
+    return typer.Option(parser=as_path, metavar="DIR", help=words)
+
+
+Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
+Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")]
+Tests = Annotated[int, typer.Option(min=1, help="number of scenes")]
+FirstSeed = Annotated[int, typer.Option(min=0, help="first scene; test scenes begin at 0, held-out ones at 2000000")]
+SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
+Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
+Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]
+Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
+JsonFile = Annotated[Path | None, typer.Option("--json", parser=as_file, metavar="FILE", help="also write a file")]
+
+
+# Typer may bring a Click of its own, so the base of its errors is looked up and not imported.
+CommandLineError: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+
+class Commands(typer.core.TyperGroup):
+    """All commands; an interrupted one keeps its last words, which Typer would drop."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the arguments name."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as error:
+            raise StoppedError(str(error) or "interrupted") from None
+
+
+def run(app: typer.Typer) -> None:
+    """Run a command and exit: a mistake is one line and code 2, an interruption one line and 128 plus the signal."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed; a file that is opened later must not be taken for it
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))
+    if sys.version_info[:2] != (3, 11) or not sys.platform.startswith("linux"):
+        found = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {sys.platform}"
+        sys.exit(_complain(f"needs Python 3.11 on Linux, as PyBullet has no wheels beyond it; this is {found}"))
+    warnings.filterwarnings("ignore", category=UserWarning, module="gymnasium")
+    logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
+    with stop_signals() as stop:
+        code = _invoke(app, stop)
+    sys.exit(code)
+
+
+def _invoke(app: typer.Typer, stop: Stop) -> int:
+    try:
+        code = app(standalone_mode=False)
+        sys.stdout.flush()
+    except (KeyboardInterrupt, StoppedError, typer.Abort) as error:
+        return _complain(str(error) or "interrupted", stop.code)
+    except BrokenPipeError:  # who read the output has had enough; what is left goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (CommandLineError, UserError, RunFailedError, ValueError, OSError) as error:
+        if stop.number:  # a signal to the whole group may end a worker before it is handled here
+            return _complain("interrupted", stop.code)
+        message = error.format_message() if isinstance(error, CommandLineError) else str(error)
+        return _complain(message, 1 if isinstance(error, RunFailedError | OSError) else 2)
+    return code if isinstance(code, int) else 0  # --help has a code, commands have none
+
+
+def _complain(message: str, code: int = 2) -> int:
+    print(f"reproduce: {' '.join(message.split())}", file=sys.stderr)
+    return code

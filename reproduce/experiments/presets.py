@@ -1,0 +1,66 @@
+"""Presets and tuning trials, which are data, and the configurations that they make of a method's class."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from reproduce.learning.config import TrainingConfig
+from reproduce.storage.errors import UserError
+from reproduce.storage.records import flat
+
+Config = TypeVar("Config", bound=TrainingConfig)
+Changes = Mapping[str, Any]
+
+
+def _read(name: str) -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
+_PRESETS, _TRIALS = _read("presets.toml"), _read("trials.toml")
+#: Presets by name: values by field, such as ``"steps"`` or ``"low.gamma"``, of the configurations of all methods.
+PRESETS: dict[str, dict[str, Any]] = {
+    name: dict(flat(_PRESETS["laptop"])) | dict(flat(values)) for name, values in _PRESETS.items()
+}
+#: Name of the trial that each method is configured by, the best.
+CHOSEN: dict[str, str] = _TRIALS.pop("chosen")
+#: What the tuning trials of each method change of a preset, by the trial's name; see ``changed``.
+TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
+
+
+def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
+    """Fill a method's configuration class with a preset.
+
+    Args:
+        kind: The method's class; what else the preset holds is not for it.
+        preset: Name of the preset.
+        changes: What differs from it, see ``changed``.
+
+    Raises:
+        UserError: Where there is no such preset.
+    """
+    if preset not in PRESETS:
+        raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
+    own = {field.name for field in fields(kind)}
+    values = {name: value for name, value in PRESETS[preset].items() if name.split(".")[0] in own}
+    return changed(kind(steps=1), {**values, **changes})
+
+
+def changed(config: Config, changes: Changes) -> Config:
+    """Return a configuration with some fields changed, named as ``"steps"`` or, in a section, ``"low.gamma"``.
+
+    Raises:
+        ValueError: Where the configuration has no such field, or the value makes no sense.
+    """
+    for where, value in changes.items():
+        section, _, name = where.rpartition(".")
+        owner: Any = getattr(config, section, None) if section else config
+        if not is_dataclass(owner) or name not in {field.name for field in fields(owner)}:
+            raise ValueError(f"expected the name of a field, or of a section and a field, got {where!r}")
+        edited: Any = replace(owner, **{name: value})  # type: ignore[type-var]
+        whole: Any = replace(config, **{section: edited}) if section else edited
+        config = whole
+    return config

@@ -1,0 +1,60 @@
+"""Checked records of ``lunar_rescue.scenes.records`` as plain data for files, and what differs between two of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Annotated, Any, TypeVar
+
+from pydantic import Field
+
+from lunar_rescue.scenes.records import from_json
+
+Record = TypeVar("Record")
+#: A size of a network; the bound is what a file of somebody else may make us allocate.
+Units = Annotated[int, Field(ge=1, le=4096)]
+
+
+def to_dict(record: Any) -> dict[str, Any]:
+    """Return a record as plain data that JSON can hold."""
+    return asdict(record)
+
+
+def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
+    """Read a record from what a JSON file held; a field that is not there is not guessed.
+
+    Args:
+        kind: A class decorated with ``checked``.
+        raw: The data.
+        where: Written before the field in messages, such as ``"config."``.
+
+    Raises:
+        ValueError: In one line: the path of the field, what was expected and what came.
+    """
+    try:
+        record = from_json(kind, json.dumps(raw), where)
+    except RecursionError:
+        raise ValueError(f"{where}expected {kind.__name__}, got data nested too deeply") from None
+    except ValueError as error:  # a record's own check does not know where it is
+        raise ValueError(f"{where}{str(error).removeprefix(where)}") from None
+    given = {path for path, _ in flat(raw)}
+    if missing := [path for path, _ in flat(to_dict(record)) if path not in given]:
+        raise ValueError(f"{where}{missing[0]}: missing")
+    return record
+
+
+def flat(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield path and value of each leaf of nested objects, such as ``"training.low.gamma", 0.99``."""
+    if isinstance(data, dict) and data:
+        for name, value in data.items():
+            yield from flat(value, f"{path}.{name}" if path else str(name))
+    else:
+        yield path, data
+
+
+def differences(before: Any, now: Any) -> list[str]:
+    """Compare plain data; return for each field that differs a text such as ``training.steps was 512, is 2048``."""
+    old, new, nothing = dict(flat(before)), dict(flat(now)), "not there"
+    pairs = {name: (old.get(name, nothing), new.get(name, nothing)) for name in {**old, **new}}
+    return [f"{name} was {was!s:.60}, is {value!s:.60}" for name, (was, value) in pairs.items() if was != value]
