@@ -40,11 +40,11 @@ BUMPS = 0.55
 STAND_FREE = 0.42  # m, around the middle of the robot's base
 BODY_FREE = 0.02  # m, around the body
 # Of the strip in which a plate lies in the end: from behind the target to so far before the body, and aside [m].
-UNDER_BEHIND, UNDER_BEFORE, UNDER_ASIDE = 0.15, 0.04, 0.10
+UNDER_BEHIND, UNDER_BEFORE, UNDER_ASIDE = 0.15, 0.16, 0.10
 # Rocks that lie in the way: the share of fields with rocks that have one, and where it lies before the body's edge on
 # the straight way to a target, and aside of it [m]. Arms that go round or over it pass.
 IN_THE_WAY = 0.8
-WAY_AHEAD, WAY_ASIDE = (0.12, 0.45), (-0.12, 0.12)
+WAY_AHEAD, WAY_ASIDE = (0.20, 0.45), (-0.18, 0.18)
 
 
 def sample_scene(seed: int, *, posture: str | None = None, task: str | None = None) -> Scene:

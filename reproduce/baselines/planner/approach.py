@@ -33,10 +33,11 @@ HOVER, HOVER_SLOPE, HOVER_LEAN = 0.40, 20.0, 8.0  # m above the slide's begin; s
 TIPS_FIRST = 6.0  # deg, tips point down by so much more where the slide begins
 HEADINGS = (0.0, 0.5, 1.0)  # of slides, between the robot's own and straight into the body
 SLIDE_STEPS = 5  # places along the slide, the goal included
+PAIRS = 450  # of goals of the two arms, the likeliest ones
 BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
 OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
 CHECKS = 120_000  # collision checks for one scene, about 6 s; most need 500
-LONGEST = 6.5  # rad, a longer way leaves no time for the second process
+LONGEST = 7.5  # rad, a longer way leaves no time for the second process
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class ApproachPlanner:
         good = [np.flatnonzero(misses < REACHED) for _, misses in solved]
         # A pair of goals is as likely as its less likely one; its end is checked first, where most pairs fail.
         pairs = sorted(((i, j) for i in good[0] for j in good[1]), key=lambda p: (max(p), sum(p)))
-        for i, j in pairs:
+        for i, j in pairs[:PAIRS]:
             path = np.column_stack([solved[0][0][i], solved[1][0][j], waists])
             self._checker.body_touch = touch
             begin = next((k for k in BEGINS if all(map(free, path[: k - 1 : -1])) and path_is_free(path[k:], free)), 0)
