@@ -231,7 +231,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         return terms, success, failure
 
     def _succeeds(self, e: Episode) -> bool:
-        """Count the steps in the goal pose after process 1, and tell whether the body is at rest after ``HOLD_STEPS``."""
+        """Count steps in the goal pose of process 2, and tell whether the body rests there after ``HOLD_STEPS``."""
         held = e.process == 2 and e.task.pose_reached(e.body)
         held = held and e.task.contacts_right(body_contacts(self.simulation, e))
         e.held = e.held + 1 if held else 0

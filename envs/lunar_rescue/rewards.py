@@ -119,10 +119,13 @@ class RewardWeights:
     memory: Annotated[int, Field(ge=1)] = 1
     """D_m is the best distance of the last so many steps. Over a whole episode (a large number) every step away from
     the best costs again and again, and policies learnt to end episodes early (tried, see the training log)."""
-    rho: Weight = 0.01
-    """AAPF term; with ``xi`` it stays under a tenth of the approach term unless a joint is near a rock."""
-    xi: Weight = 0.01
+    rho: Weight = 0.04
+    """AAPF term: a joint that comes from 0.4 m to 0.05 m costs a fifth of what a typical step brings nearer."""
+    xi: Weight = 0.02
     """AAPF length scale [m]."""
+    influence: Annotated[float, Field(gt=0.0)] = 0.15
+    """Distance from a joint beyond which a mark point counts for nothing [m], as in Khatib's potential field (1986).
+    Without it the sum over all joints and marks tells how many rocks there are, and hides the one that is near."""
     varphi: Weight = 0.003
     """Joint-motion term [1/rad]."""
     time_bonus: Weight = 1.5
@@ -134,8 +137,11 @@ class RewardWeights:
     """Once, when process 1 is completed; not in the paper."""
     failure: Weight = 1.0
     """Subtracted once when an episode ends in a failure other than the time limit; not in the paper."""
-    contact: Weight = 0.02
-    """Factor on the contact reward where it replaces the AAPF term."""
+    contact: Weight = 0.05
+    """Factor on the contact reward where it replaces the AAPF term: about what the AAPF costs at a rock's surface."""
+    contact_form: Literal["centred", "literal"] = "centred"
+    """``"centred"`` is nothing far from rocks, as the AAPF is; ``"literal"`` is the paper's -0.5 or +0.5 a step, times
+    ``contact``, which pays for every step that an episode lasts."""
     form: ApproachForm = "signed"
     """Form of the approach term that the project trains with."""
 
@@ -159,12 +165,18 @@ class Transition:
 
 
 def aapf(step: Transition, weights: RewardWeights) -> float:
-    """Return the AAPF term of a step, also where the contact reward replaces it."""
-    return obstacle_avoidance(step.clearance, rho=weights.rho, xi=weights.xi)
+    """Return the AAPF term of a step, also where the contact reward replaces it: each joint and its nearest mark."""
+    if not step.clearance.size:
+        return 0.0
+    nearest = step.clearance.min(axis=1)
+    return obstacle_avoidance(nearest[nearest < weights.influence], rho=weights.rho, xi=weights.xi)
 
 
 def _obstacle_term(step: Transition, weights: RewardWeights) -> float:
-    return weights.contact * contact(step.touches_rock) if step.contact_reward else aapf(step, weights)
+    if not step.contact_reward:
+        return aapf(step, weights)
+    far = contact(False) if weights.contact_form == "centred" else 0.0
+    return weights.contact * (contact(step.touches_rock) - far)
 
 
 @dataclass(frozen=True)
@@ -192,9 +204,9 @@ TERMS = (
     RewardTerm(
         "obstacle_avoidance",
         r"-\rho \log(\textstyle\sum \xi / D + 1)",
-        ("rho", "xi"),
+        ("rho", "xi", "influence"),
         False,
-        "each step, over all joints and mark points; the AAPF",
+        "each step, over joints and the mark point nearest to each, within `influence`; the AAPF",
         _obstacle_term,
     ),
     RewardTerm(

@@ -24,8 +24,8 @@ BACK_ANGLE = math.radians(35.0)  # "on the back": front within this of straight 
 HOLD_STEPS = 5  # 0.5 s in the goal pose, so that passing through it does not count
 BEARING_SHARE = 0.15  # of the weight, that each arm must bear in a lift; one that only touches does not carry
 REST_SPEED, REST_SPIN = 0.1, 0.3  # m/s, rad/s; below both the body is at rest, as it must be at the end
-# What a person would stand (assumptions): an arm presses with no more than a person of 82 kg (the median of NASA-STD-3000)
-# does who lies on one plate on Earth; nobody is moved faster than bearers walk, or pushed harder than half of g on Earth.
+# What a person would stand (assumptions): an arm presses no harder than a plate on Earth does under a person of 82 kg,
+# the median of NASA-STD-3000; nobody is moved faster than bearers walk, or pushed harder than half of g on Earth.
 GENTLE_FORCE, GENTLE_SPEED, GENTLE_ACCELERATION = 806.0, 1.0, 4.9  # N, m/s, m/s^2
 # Horizontal way of the centre of gravity from its start beyond which the arms cannot follow, by process [m].
 LOST_DISTANCE = {1: 0.6, 2: 1.6}

@@ -150,7 +150,7 @@ _read_once = lru_cache(maxsize=len(FILES))(load_postures)
 
 
 def postures(split: str = "train") -> dict[str, Posture]:
-    """Return the postures of a key of ``FILES`` by name, in the file's order; the project's 20 unless told otherwise."""
+    """Return the postures of a key of ``FILES`` by name, in the file's order; the 20 unless told otherwise."""
     return _read_once(FILES[split])
 
 

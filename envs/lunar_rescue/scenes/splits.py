@@ -1,8 +1,8 @@
 """Which seeds belong to which split, so that what is tested on was never trained on.
 
-Whatever is tried is tried on ``train`` and judged on ``validation`` and ``validation-heldout``. ``test`` and ``heldout``
-are for final figures alone. ``validation`` and ``test`` scenes are drawn as training scenes are, from other seeds; both
-held-out splits have postures, rock fields, reliefs and masses that no other scene has, and postures of their own.
+Whatever is tried is tried on ``train`` and judged on ``validation`` and ``validation-heldout``; ``test`` and
+``heldout`` are for final figures alone. ``validation`` and ``test`` scenes are drawn as training scenes are, from other
+seeds; both held-out splits have postures of their own, and rock fields, reliefs and masses that no other scene has.
 """
 
 from __future__ import annotations
