@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 import lunar_rescue
-from lunar_rescue import LunarRescueEnv, RewardWeights, Scene, sample_scene
+from lunar_rescue import LunarRescueEnv, Scene, rewards, sample_scene
 from lunar_rescue.observation import ENTRIES, SIZE, SLICES
 from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.scene import task_distribution
-from lunar_rescue.scenes.splits import TRAIN
+from lunar_rescue.scenes.splits import SPLITS, TRAIN
+from reproduce.baselines.scripted import ScriptedPolicy
 
 Step = tuple[NDArray[np.float32], float]
 
@@ -102,6 +103,37 @@ def test_starts_are_random_and_seeded(env: LunarRescueEnv) -> None:
     assert drawn[0] == drawn[1] and drawn[0].seed in TRAIN
 
 
+def test_a_seed_alone_is_a_training_scene_and_a_split_is_asked_for_by_name(env: LunarRescueEnv) -> None:
+    for seed in (0, 7, 2_000_000_000, 2_030_000_005):
+        assert env.reset_flat(seed=seed)[1]["scene"].seed == seed % 2_000_000_000
+    first = {name: env.reset_flat(seed=0, options={"split": name})[1]["scene"].seed for name in SPLITS}
+    assert first == {
+        "train": 0,
+        "validation": 2_000_000_000,
+        "validation-heldout": 2_010_000_000,
+        "test": 2_020_000_000,
+        "heldout": 2_030_000_000,
+    }
+    assert env.reset_flat(options={"split": "test"})[1]["scene"].seed in SPLITS["test"]
+
+
+def test_what_the_body_felt_is_told(env: LunarRescueEnv) -> None:
+    """A body at rest feels nothing; one that is pushed feels what moved it, and the peaks stay."""
+    scene = sample_scene(7, posture="prone_straight", task="lift")
+    env.reset_flat(options={"scene": scene})
+    info = env.step_flat(np.zeros(11))[4]
+    assert info["gentle"] and info["peak_force"] == 0.0 and info["peak_speed"] < 0.02
+    policy, start, done, peaks = ScriptedPolicy(), np.array([True]), False, []
+    observation, _ = env.reset_flat(options={"scene": scene})
+    while not done:
+        observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
+        start, done = np.array([False]), terminated or truncated
+        peaks.append([info[key] for key in ("peak_force", "peak_speed", "peak_acceleration")])
+        assert info["gentle"] == (peaks[-1][0] <= 806.0 and peaks[-1][1] <= 1.0 and peaks[-1][2] <= 4.9)
+    assert np.all(np.diff(peaks, axis=0) >= 0)
+    assert peaks[-1][0] > 50.0 and 0.1 < peaks[-1][1] < 5.0
+
+
 def test_nothing_overlaps_at_the_start(env: LunarRescueEnv) -> None:
     deepest = 0.0
     for seed in range(150):
@@ -126,7 +158,6 @@ def test_observation_layout(env: LunarRescueEnv) -> None:
 def test_contact_reward_replaces_the_aapf_term_and_nothing_else() -> None:
     scene = next(s for s in map(sample_scene, range(100)) if s.rocks)
     plain, ablated = LunarRescueEnv(), LunarRescueEnv(obstacle_reward="contact")
-    weights = RewardWeights()
     for e in (plain, ablated):
         e.reset_flat(options={"scene": scene})
     for _ in range(5):
@@ -134,11 +165,36 @@ def test_contact_reward_replaces_the_aapf_term_and_nothing_else() -> None:
         *_, first = plain.step_flat(action)
         *_, second = ablated.step_flat(action)
         terms, others = first["reward_terms"], second["reward_terms"]
-        assert terms.pop("obstacle_avoidance") < 0
-        assert others.pop("obstacle_avoidance") == weights.contact * 0.5
+        assert terms.pop("obstacle_avoidance") <= 0
+        assert others.pop("obstacle_avoidance") == 0.0  # as little as the AAPF far from rocks
         assert terms == others
     plain.close()
     ablated.close()
+
+
+def test_coming_near_a_rock_costs_and_the_number_of_rocks_does_not(env: LunarRescueEnv) -> None:
+    """The manipulation check of the ablation: what AAPF changes is nearness, and by as much as a step can feel."""
+    approach, terms, rocks = [], [], []
+    for scene in map(sample_scene, range(1000, 1100)):
+        observation, _ = env.reset_flat(options={"scene": scene})
+        policy, start, done, own = ScriptedPolicy(), np.array([True]), False, []
+        while not done:
+            observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
+            start, done = np.array([False]), terminated or truncated
+            approach.append(abs(info["reward_terms"]["approach"]))
+            own.append(info["aapf"])
+        terms.append(np.mean(own))
+        rocks.append(len(scene.rocks))
+    weights = env.weights
+    joints = np.full((12, 5), 0.4)
+    near = joints.copy()
+    near[3, 2] = 0.05
+    cost = [
+        rewards.obstacle_avoidance(d[d < weights.influence], rho=weights.rho, xi=weights.xi) for d in (joints, near)
+    ]
+    assert cost[0] == 0.0 and -cost[1] > 0.2 * np.mean(approach)
+    assert abs(np.corrcoef(rocks, terms)[0, 1]) < 0.3
+    assert np.std(terms) > 0
 
 
 def test_the_nearest_mark_point_of_an_episode_is_remembered(env: LunarRescueEnv) -> None:
@@ -159,7 +215,8 @@ def test_time_limit() -> None:
     env = LunarRescueEnv(max_steps=3)
     env.reset_flat(seed=0)
     ends = [env.step_flat(np.zeros(11)) for _ in range(3)]
-    assert [e[3] for e in ends] == [False, False, True]
+    assert [e[2] for e in ends] == [False, False, True]  # terminal, as time is observed
+    assert not any(e[3] for e in ends)
     assert ends[-1][4]["failure"] == "timeout"
     env.close()
 
@@ -170,6 +227,8 @@ def test_time_limit() -> None:
         (lambda e: e.reset(options={"scne": 1}), "scne"),
         (lambda e: e.reset(options={"scene": "x"}), "Scene"),
         (lambda e: e.reset(options={"posture": "x"}), "posture"),
+        (lambda e: e.reset(options={"split": "tset"}), "split.*validation-heldout"),
+        (lambda e: e.reset(options={"scene": sample_scene(0), "split": "train"}), "split"),
         (lambda e: e.step(np.zeros(3, np.float32)), "action"),
         (lambda e: e.step(np.full(11, np.nan, np.float32)), "action"),
     ],
@@ -248,7 +307,7 @@ def test_the_limit_of_make_is_the_only_one() -> None:
     assert gymnasium.spec("LunarRescue-v0").max_episode_steps == 120
     for arguments, limit in (({"max_episode_steps": 10}, 10), ({}, 120), ({"max_episode_steps": -1}, 120)):
         made = gymnasium.make("LunarRescue-v0", **arguments)  # type: ignore[arg-type]
-        observation, _ = made.reset(seed=3_000_000)
+        observation, _ = made.reset(seed=3)
         assert made.unwrapped.max_steps == limit  # type: ignore[attr-defined]
         for step in range(1, 11):
             observation, _, _, truncated, info = made.step(made.unwrapped._zero)  # type: ignore[attr-defined]

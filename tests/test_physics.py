@@ -17,8 +17,9 @@ import lunar_rescue
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.physics.bodies import RigidBody
 from lunar_rescue.physics.kinematics import END, SHOULDER, ArmChain
-from lunar_rescue.physics.robot import ARMS, CONTROL_STEP, WAIST
-from lunar_rescue.physics.simulation import LUNAR_GRAVITY, SUBSTEP, Simulation
+from lunar_rescue.physics.robot import ARMS, WAIST
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY, Simulation
+from lunar_rescue.physics.solver import CONTROL_STEP, SolverSettings
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.scene import FRICTION_RANGE, MASS_RANGE
 from lunar_rescue.scenes.suit import surface_points
@@ -48,22 +49,23 @@ def test_dropped_astronaut_falls_with_lunar_gravity(simulation: Simulation, mass
     body = _suit(simulation, "supine_straight", mass, 10.0)
     steps = 100
     simulation.advance(steps)
-    time = steps * SUBSTEP
+    substep = simulation.settings.substep
+    time = steps * substep
     velocity, _ = simulation.velocity(body)
     fallen = 10.0 - simulation.pose(body)[0][2]
     assert -velocity[2] / time == pytest.approx(LUNAR_GRAVITY, rel=0.01)
     # The engine integrates velocity first, so a fall takes half a substep's speed more than g t^2 / 2.
-    assert fallen == pytest.approx(0.5 * LUNAR_GRAVITY * time * (time + SUBSTEP), rel=0.01)
+    assert fallen == pytest.approx(0.5 * LUNAR_GRAVITY * time * (time + substep), rel=0.01)
 
 
 @pytest.mark.parametrize("mass", MASS_RANGE)
-@pytest.mark.parametrize("name", ["supine_straight", "prone_straight", "left_side_recovery", "right_side_curled"])
+@pytest.mark.parametrize("name", ["supine_straight", "prone_straight", "left_side_recovery", "right_side_arm_across"])
 def test_ground_bears_the_weight_at_rest(simulation: Simulation, name: str, mass: float) -> None:
     for up in (SMOOTH.up(), Terrain("rough", MAX_SLOPE, 1.0).up()):
         simulation.clear([])
         simulation.set_up_vector(up)
         body = _suit(simulation, name, mass, all_postures()[name].rest.height)
-        simulation.advance(150)
+        simulation.advance_by(3.0)
         forces = []
         for _ in range(50):
             simulation.advance(1)
@@ -92,7 +94,7 @@ def test_every_posture_rests_where_it_is_put(name: str, friction: float) -> None
         for terrain in grounds:
             env.reset_flat(options={"scene": replace(drawn, mass=mass, terrain=terrain)})
             start = env.episode.astronaut.state()
-            env.simulation.advance(int(5.0 / SUBSTEP))
+            env.simulation.advance_by(5.0)
             state = env.episode.astronaut.state()
             turned = np.degrees(np.arccos(np.clip((np.trace(start.rotation.T @ state.rotation) - 1) / 2, -1, 1)))
             assert np.linalg.norm(state.centre - start.centre) < 0.01, terrain
@@ -163,6 +165,7 @@ def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueE
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed, task="lift")})
         policy, start, done = ScriptedPolicy(), np.array([True]), False
         while not done:
+            before = env.episode.body
             observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
             start, done = np.array([False]), terminated or truncated
         if info["is_success"]:
@@ -171,7 +174,15 @@ def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueE
             assert not simulation.touching_ground(e.astronaut.handle)
             rows = simulation.contact_forces(e.astronaut.handle, env.robot.handle)
             up = [sum(f[2] for _, link, f in rows if link in links) for links in env.robot.arm_links]
-            assert min(up) > 10.0  # N, each arm bears some of it
+            weight = e.scene.mass * 1.62
+            assert min(up) > 0.05 * weight  # each arm bears some of it at this very moment
+            assert sum(up) == pytest.approx(weight, rel=0.2)
+            shares = e.forces @ e.scene.terrain.up() / weight  # means of the last step
+            gained = (e.body.velocity - before.velocity) @ e.scene.terrain.up() / CONTROL_STEP
+            assert min(shares) >= 0.15 and sum(shares) == pytest.approx(1.0 + gained / 1.62, abs=0.03)
+            assert np.linalg.norm(e.body.velocity) < 0.1 and not any(
+                simulation.touching(e.astronaut.handle, rock) for rock in e.rocks
+            )
             low = e.astronaut.keypoints(e.body)[:, 2].min()
             assert low > 0.0
     assert found >= 10  # the scripted method lifts most of these scenes
@@ -243,7 +254,7 @@ def test_with_motors_off_nothing_gains_energy(env: LunarRescueEnv, mass: float, 
     for _ in range(300):
         handles = env.robot.handle, env.episode.astronaut.handle
         energies.append(sum(_energy(env.simulation, handle, up) for handle in handles))
-        env.simulation.advance(2)
+        env.simulation.advance_by(0.04)
     given = energies[0] - min(energies)
     assert given > 20.0  # J: the arms did fall
     # A contact that was a little too deep gives back less than a hundredth of that.
@@ -258,3 +269,44 @@ def test_surface_points_touch_the_ground_at_rest() -> None:
         lowest = posture.resting_surface()[:, 2].min()
         assert abs(lowest) < 0.02, posture.name
         assert len(surface_points(posture.limbs)) > 1000
+
+
+def test_contact_forces_are_those_that_move_the_body(env: LunarRescueEnv) -> None:
+    """Mass times acceleration is weight and all contact forces, friction included, in every substep of a rescue."""
+    scene = sample_scene(7, posture="prone_straight", task="lift")
+    observation, _ = env.reset_flat(options={"scene": scene})
+    policy, start, done, touched = ScriptedPolicy(), np.array([True]), False, 0
+    simulation, weight = env.simulation, -scene.mass * 1.62 * scene.terrain.up()
+    while not done:
+        handle = env.episode.astronaut.handle
+        before = np.array(pb.getBaseVelocity(handle, physicsClientId=simulation.client)[0])
+        simulation.advance(1)
+        after = np.array(pb.getBaseVelocity(handle, physicsClientId=simulation.client)[0])
+        others = [env.robot.handle, simulation.ground, *env.episode.rocks]
+        others += [] if simulation.relief is None else [simulation.relief]
+        forces = [f for other in others for *_, f in simulation.contact_forces(handle, other)]
+        touched += bool(simulation.contact_forces(handle, env.robot.handle))
+        moved = scene.mass * (after - before) / simulation.settings.substep
+        assert moved == pytest.approx(np.sum(forces, axis=0) + weight, abs=0.01)  # N
+        observation, _, terminated, truncated, _ = env.step_flat(policy.act(observation[None], start)[0])
+        start, done = np.array([False]), terminated or truncated
+    assert touched > 10
+
+
+@pytest.mark.parametrize("substep", [0.015, 0.03, 0.0, -0.01, float("nan")])
+def test_substeps_that_do_not_fill_a_control_step_are_refused(substep: float) -> None:
+    with pytest.raises(ValueError, match="substep"):
+        SolverSettings(substep=substep)
+
+
+def test_a_finer_solver_moves_robot_and_body_alike() -> None:
+    scene, ends = sample_scene(5), []
+    for settings in (SolverSettings(), SolverSettings(substep=0.005, iterations=100, free_iterations=100)):
+        env = LunarRescueEnv(solver=settings)
+        env.reset_flat(options={"scene": scene})
+        for _ in range(10):
+            env.step_flat(np.full(11, 0.3))
+        ends.append((env.episode.robot.angles, env.episode.body.centre))
+        env.close()
+    assert np.abs(ends[0][0] - ends[1][0]).max() < np.radians(2.0)
+    assert np.linalg.norm(ends[0][1] - ends[1][1]) < 0.01

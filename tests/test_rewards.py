@@ -84,8 +84,9 @@ STEP = rewards.Transition(
     failed=False,
 )
 WEIGHTS = RewardWeights(
-    beta=3.0, rho=0.3, xi=0.1, varphi=0.5, time_bonus=2.0, rescued=7.0, both_arms_under=5.0, failure=6.0, contact=0.2
-)
+    beta=3.0, rho=0.3, xi=0.1, influence=0.9, varphi=0.5, time_bonus=2.0, rescued=7.0, both_arms_under=5.0, failure=6.0,
+    contact=0.2,
+)  # fmt: skip
 
 
 def test_every_term_of_a_step_by_hand() -> None:
@@ -94,7 +95,9 @@ def test_every_term_of_a_step_by_hand() -> None:
         "approach", "obstacle_avoidance", "joint_motion", "time_bonus", "rescued", "both_arms_under", "failure",
     ]  # fmt: skip
     assert terms["approach"] == pytest.approx(3.0 * ((math.exp(0.2) - 1.0) + (math.exp(-0.1) - 1.0)) / 2)
-    assert terms["obstacle_avoidance"] == pytest.approx(-0.3 * math.log(0.2 + 0.4 + 0.1 + 0.05 + 1.0))
+    assert terms["obstacle_avoidance"] == pytest.approx(
+        -0.3 * math.log(0.1 / 0.25 + 1.0)
+    )  # the other joint is beyond 0.9 m
     assert terms["joint_motion"] == pytest.approx(-0.3)
     assert [terms[name] for name in ("time_bonus", "rescued", "both_arms_under", "failure")] == [0.0] * 4
 
@@ -108,8 +111,23 @@ def test_milestones_come_with_what_they_are_for() -> None:
 
 def test_the_contact_reward_takes_the_place_of_the_aapf_term() -> None:
     ablated = replace(STEP, contact_reward=True)
-    assert rewards.reward_terms(ablated, WEIGHTS)["obstacle_avoidance"] == pytest.approx(-0.1)
-    assert rewards.aapf(ablated, WEIGHTS) == pytest.approx(-0.3 * math.log(1.75))
+    free = replace(ablated, touches_rock=False)
+
+    def term(step: rewards.Transition, weights: RewardWeights) -> float:
+        return rewards.reward_terms(step, weights)["obstacle_avoidance"]
+
+    assert term(ablated, WEIGHTS) == pytest.approx(-0.2) and term(free, WEIGHTS) == 0.0
+    literal = replace(WEIGHTS, contact_form="literal")
+    assert term(ablated, literal) == pytest.approx(-0.1) and term(free, literal) == pytest.approx(0.1)
+    assert rewards.aapf(ablated, WEIGHTS) == pytest.approx(-0.3 * math.log(1.4))
+
+
+def test_the_aapf_counts_each_joint_once_and_nothing_far_away() -> None:
+    near, far = np.array([[0.05, 0.06], [0.1, 0.3], [0.4, 0.5]]), np.full((12, 35), 0.16)
+    weights = RewardWeights()
+    assert rewards.aapf(replace(STEP, clearance=near), weights) == pytest.approx(-0.04 * math.log(1 + 0.4 + 0.2))
+    assert rewards.aapf(replace(STEP, clearance=far), weights) == 0.0
+    assert rewards.aapf(replace(STEP, clearance=np.zeros((12, 0))), weights) == 0.0
 
 
 def test_the_table_of_terms_names_weights_that_exist_and_says_what_comes_once() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import BOUND
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.scenes.postures import DATA_FILE, all_postures, heldout_postures, load_postures, postures
+from lunar_rescue.scenes.postures import DATA_FILE, Posture, all_postures, load_postures, postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock
 from lunar_rescue.scenes.scene import (
     BASE_RANGE,
@@ -26,8 +26,8 @@ from lunar_rescue.scenes.scene import (
     Scene,
     task_distribution,
 )
-from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN, VALIDATION
-from lunar_rescue.scenes.suit import mass_properties, suit_parts
+from lunar_rescue.scenes.splits import HELD_OUT, SPLITS
+from lunar_rescue.scenes.suit import Limbs, keypoints, mass_properties, suit_parts
 from lunar_rescue.scenes.targets import approach_sides, target_areas
 from lunar_rescue.scenes.terrain import MAX_SLOPE, SMOOTH, Terrain
 
@@ -42,7 +42,7 @@ def test_both_tasks_occur() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**31 - 1))
+@given(st.integers(0, 2_039_999_999))
 def test_scene_is_a_pure_function_and_survives_json(seed: int) -> None:
     scene = sample_scene(seed)
     assert scene == sample_scene(seed)
@@ -213,15 +213,85 @@ def test_what_cannot_lie_there_is_refused() -> None:
 
 
 def test_heldout_scenes_have_what_no_training_scene_has() -> None:
-    held = [sample_scene(seed) for seed in range(HELDOUT.start, HELDOUT.start + 400)]
-    others = [sample_scene(split.start + i) for split in (TRAIN, TEST, VALIDATION) for i in range(400)]
-    assert {s.posture for s in held} == set(heldout_postures())
+    drawn = {name: [sample_scene(seeds.start + i) for i in range(400)] for name, seeds in SPLITS.items()}
+    held = [scene for name in HELD_OUT for scene in drawn[name]]
+    others = [scene for name in SPLITS if name not in HELD_OUT for scene in drawn[name]]
+    for name in HELD_OUT:
+        assert {s.posture for s in drawn[name]} == set(postures(name))
     assert {s.posture for s in others} == set(postures())
     inside = [any(low <= s.mass <= high for low, high in HELDOUT_MASSES) for s in [*held, *others]]
     assert all(inside[: len(held)]) and not any(inside[len(held) :])
     for part in (lambda s: {r.shape for r in s.rocks}, lambda s: {s.terrain.relief} if s.terrain.rough else set()):
         there, elsewhere = (set().union(*map(part, group)) for group in (held, others))
         assert there and elsewhere and not there & elsewhere
+
+
+def _mirrored(posture: Posture) -> tuple[str, Limbs]:
+    """Return attitude and limbs of a posture's mirror image."""
+    swap = {"left": "right", "right": "left"}
+    limbs = {f"{swap[(w := k.split('_', 1))[0]]}_{w[1]}": v for k, v in dataclasses.asdict(posture.limbs).items()}
+    side, _, rest = posture.attitude.partition("_")
+    return (f"{swap[side]}_{rest}" if rest else posture.attitude), Limbs(**limbs)
+
+
+def _apart(a: Limbs, b: Limbs) -> tuple[int, float]:
+    """Return how many joints are 15 degrees apart, and the mean distance of key points [cm]."""
+    angles = np.abs(np.subtract(dataclasses.astuple(a), dataclasses.astuple(b)))
+    points = [keypoints(limbs) - mass_properties(limbs).centre for limbs in (a, b)]
+    return int((angles >= 15.0).sum()), float(100 * np.linalg.norm(points[0] - points[1], axis=1).mean())
+
+
+@pytest.mark.parametrize("split", ["train", *HELD_OUT])
+def test_postures_are_not_each_others_mirror_images_and_held_out_ones_are_far_from_training(split: str) -> None:
+    known = postures()
+    for posture in postures(split).values():
+        for other in known.values():
+            if other is posture:
+                continue
+            for attitude, limbs in ((other.attitude, other.limbs), _mirrored(other)):
+                if attitude == posture.attitude:
+                    joints, centimetres = _apart(posture.limbs, limbs)
+                    least = 4.0 if split == "train" else 8.0
+                    assert joints >= 2 or centimetres >= least, (posture.name, other.name, joints, centimetres)
+    assert {p.attitude for p in postures(split).values()} == {"supine", "prone", "left_side", "right_side"}
+
+
+def test_the_base_stands_askew_within_reach() -> None:
+    """Over training scenes the base is up to 0.25 m beside the middle of the targets and 20 degrees askew."""
+    aside, askew, reach = [], [], []
+    for scene in map(sample_scene, range(500)):
+        areas = target_areas(scene.model, scene.side, scene.task)
+        c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
+        dx, dy = scene.base_x - scene.astronaut_x, scene.base_y - scene.astronaut_y
+        along, away = c * dx + s * dy, c * dy - s * dx
+        aside.append(along - areas.offsets[:, 0].mean())
+        turned = scene.base_yaw - scene.astronaut_yaw + scene.side * math.pi / 2
+        askew.append(math.degrees(math.remainder(turned, 2 * math.pi)))
+        reach.append(np.hypot(areas.offsets[:, 0] - along, areas.offsets[:, 1] - away).max())
+    assert -0.25 <= min(aside) < -0.22 and 0.22 < max(aside) <= 0.25
+    assert -20.0 <= min(askew) < -17.0 and 17.0 < max(askew) <= 20.0
+    assert np.std(askew) > 7.0 and np.std(aside) > 0.1
+    assert max(reach) < 1.5
+
+
+def test_rocks_lie_on_the_straight_ways_in() -> None:
+    """In most scenes with rocks one lies within a plate's width of the straight way to a target, before the body."""
+    blocked = []
+    for scene in (s for s in map(sample_scene, range(300)) if s.rocks):
+        areas = target_areas(scene.model, scene.side, scene.task)
+        c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
+        away = np.array([(r.x - scene.astronaut_x, r.y - scene.astronaut_y) for r in scene.rocks])
+        own = away @ np.array([[c, -s], [s, c]])
+        sizes = np.array([r.diameter / 2 for r in scene.rocks])
+        blocked.append(
+            any(
+                np.any((np.abs(own[:, 0] - x) < sizes + 0.12) & (0 < scene.side * (own[:, 1] - y)) & (
+                    scene.side * (own[:, 1] - y) < 1.0
+                ))
+                for x, y in areas.offsets[:, :2]
+            )
+        )  # fmt: skip
+    assert np.mean(blocked) > 0.5
 
 
 def test_the_documented_ranges_are_used() -> None:
