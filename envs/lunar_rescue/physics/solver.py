@@ -10,7 +10,7 @@ from pydantic import Field
 from lunar_rescue.scenes.records import checked
 
 CONTROL_STEP = 0.1  # s, one action is held this long
-SAMPLES = 5  # times in a control step at which contact forces between arms and body are read
+SAMPLES = 10  # times in a control step at which contact forces between arms and body are read
 # Of a position error that a motor makes good per second, in a substep of 20 ms a fifth: with set-points at most
 # speed * time ahead no motor exceeds its speed limit, and arms follow alike at every substep.
 POSITION_GAIN_PER_SECOND = 10.0
@@ -21,8 +21,8 @@ POSITION_GAIN_PER_SECOND = 10.0
 class SolverSettings:
     """Substep and iterations of the contact solver."""
 
-    substep: Annotated[float, Field(gt=0.0, le=0.02)] = 0.01
-    """Length of a substep [s]; a fifth of a control step holds a whole number of them."""
+    substep: Annotated[float, Field(gt=0.0, le=0.01)] = 0.01
+    """Length of a substep [s]; the time between two samples holds a whole number of them."""
     iterations: Annotated[int, Field(ge=1)] = 50
     """Iterations of the solver while an arm touches the astronaut."""
     free_iterations: Annotated[int, Field(ge=1)] = 20
