@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from lunar_rescue.episode import Episode
 from lunar_rescue.physics.robot import Robot
 from lunar_rescue.physics.simulation import LUNAR_GRAVITY, Simulation
-from lunar_rescue.physics.solver import SAMPLES
 from lunar_rescue.tasks import SMALLEST_ERROR, TARGET_RADIUS, Contacts
 
 Array = NDArray[np.float64]
@@ -63,19 +62,20 @@ def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -
 def hold(simulation: Simulation, robot: Robot, episode: Episode) -> Array:
     """Let a control step pass and return the force of each arm on the astronaut, its mean over the step, (2, 3) [N].
 
-    Contacts are read ``SAMPLES`` times, which also says where the solver has to be fine. Means, as a stiff contact's
+    Contacts are read up to ten times, which also says where the solver has to be fine. Means, as a stiff contact's
     peaks tell of the solver and not of the rescue.
     """
     handle, forces = episode.astronaut.handle, np.zeros((2, 3))
-    for _ in range(SAMPLES):
-        simulation.advance(simulation.settings.substeps_per_sample)
+    samples, substeps = simulation.settings.samples, simulation.settings.substeps_per_sample
+    for _ in range(samples):
+        simulation.advance(substeps)
         rows = simulation.contact_forces(handle, robot.handle)
         simulation.solve_finely(bool(rows))
         for _, link, force in rows:
             for arm, links in enumerate(robot.arm_links):
                 if link in links:
                     forces[arm] += force
-    return forces / SAMPLES
+    return forces / samples
 
 
 def body_contacts(simulation: Simulation, episode: Episode) -> Contacts:

@@ -206,6 +206,10 @@ class Simulation(Bodies):
             rows.append((int(own), int(other), sign * force))
         return rows
 
+    def overlaps(self, first: int, second: int) -> list[float]:
+        """Return how deep two bodies overlap at each of their contacts after the last substep [m]."""
+        return [-row[8] for row in self._contact_points(first, second)]
+
     def penetration(self, first: int, second: int) -> float:
         """Measure how deep two bodies overlap as they are placed now [m]; slow, for tests."""
         self._client.performCollisionDetection()

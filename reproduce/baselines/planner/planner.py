@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
+from lunar_rescue.physics.solver import SETTINGS, SolverSettings
 from reproduce.baselines.planner.approach import ApproachPlanner
 from reproduce.baselines.planner.collision import CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
@@ -56,7 +57,9 @@ class Plan:
 class RescuePlanner:
     """Plan scenes one after the other; the same scene gets the same plan."""
 
-    def __init__(self, variants: int = VARIANTS, approaches: int = APPROACHES) -> None:
+    def __init__(
+        self, variants: int = VARIANTS, approaches: int = APPROACHES, solver: SolverSettings = SETTINGS
+    ) -> None:
         """Set the caps on what is tried out; the two simulations are started with the first scene.
 
         Raises:
@@ -65,7 +68,7 @@ class RescuePlanner:
         for name, value in (("variants", variants), ("approaches", approaches)):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")
-        self._variants, self._approaches = variants, approaches
+        self._variants, self._approaches, self._solver = variants, approaches, solver
         self._simulations: tuple[LunarRescueEnv, CollisionChecker] | None = None
 
     def close(self) -> None:
@@ -85,7 +88,7 @@ class RescuePlanner:
         """
         begun = time.monotonic()
         if self._simulations is None:
-            self._simulations = LunarRescueEnv(), CollisionChecker()
+            self._simulations = LunarRescueEnv(solver=self._solver), CollisionChecker()
         search = _Search(*self._simulations, scene, self._approaches)
         best, way, variant = search.rescue(self._variants)
         return Plan(

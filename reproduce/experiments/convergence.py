@@ -1,0 +1,187 @@
+"""How far results depend on the solver: the same scenes under settings from coarse to fine (``docs/environment.md``).
+
+Every actor meets the same scenes under each setting: methods and trained policies, which see what happens, and
+plans, which are made once under a setting of their own and replayed without looking. The setting to choose is the
+coarsest that agrees with the finest.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch as th
+from numpy.typing import NDArray
+
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY
+from lunar_rescue.physics.solver import SETTINGS, SolverSettings
+from reproduce.baselines.planner.planner import RescuePlanner
+from reproduce.experiments.evaluate import find_policy
+from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.storage.files import check_writable, locked, write_atomically
+from reproduce.storage.paths import COMMITTED
+from reproduce.storage.provenance import record_origin
+
+FOLDER = COMMITTED / "convergence"
+PLANS = "plans"
+#: Plans are made under this setting, which is none of those compared, so that no setting has plans chosen for it.
+PLANNED_WITH = SolverSettings(substep=0.005, iterations=75, free_iterations=75)
+DEEP = 0.010  # m, an overlap of arm and body that a suit's padding would not hide
+
+
+def _uniform(substep: float, iterations: int) -> SolverSettings:
+    return SolverSettings(substep=substep, iterations=iterations, free_iterations=iterations)
+
+
+#: From coarse to fine; the last one is what the others are compared with.
+GRID = (
+    _uniform(0.02, 20),
+    _uniform(0.02, 100),
+    _uniform(0.01, 20),
+    SETTINGS,
+    _uniform(0.01, 100),
+    _uniform(0.005, 50),
+    _uniform(0.005, 100),
+    _uniform(0.0025, 100),
+    _uniform(0.0025, 200),
+)
+
+Actions = NDArray[np.float32]
+_STATE: dict[str, Any] = {}
+
+
+def label(settings: SolverSettings) -> str:
+    """Return a setting in short, such as ``"10 ms, 20/50"``: substep, iterations without and with contact."""
+    adaptive = settings.free_iterations != settings.iterations
+    iterations = f"{settings.free_iterations}/{settings.iterations}" if adaptive else f"{settings.iterations}"
+    return f"{1000 * settings.substep:g} ms, {iterations}"
+
+
+def _prepare(actors: Sequence[str]) -> None:
+    th.set_num_threads(1)
+    _STATE["environments"] = {label(settings): LunarRescueEnv(solver=settings) for settings in GRID}
+    _STATE["policies"] = {actor: find_policy(actor)[1] for actor in actors if actor != PLANS}
+    _STATE["planner"] = RescuePlanner(solver=PLANNED_WITH) if PLANS in actors else None
+
+
+def _test(seed: int, actors: Sequence[str]) -> list[dict[str, Any]]:
+    scene, rows = sample_scene(seed), []
+    plan = _STATE["planner"].plan(scene).actions if PLANS in actors else np.zeros((0, 11), np.float32)
+    for actor in actors:
+        for name, env in _STATE["environments"].items():
+            policy = _STATE["policies"].get(actor)
+            if policy is not None and hasattr(policy, "reseed"):
+                policy.reseed(seed)
+            rows.append({"actor": actor, "setting": name, "seed": seed, **_run(env, scene, policy, plan)})
+    return rows
+
+
+def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[str, Any]:
+    """Act one scene out and return how it ended, overlaps of arm and body, and what a step took."""
+    observation, _ = env.reset_flat(options={"scene": scene})
+    info: dict[str, Any] = {}
+    start, overlaps, seconds, balance, done = np.array([True]), [], 0.0, None, False
+    replayed: Iterator[Actions] = iter(plan)
+    while not done:
+        action = next(replayed, None) if policy is None else policy.act(observation[None], start)[0]
+        if action is None:
+            break
+        before, begun = env.episode.body, time.perf_counter()
+        observation, _, terminated, truncated, info = env.step_flat(action)
+        seconds += time.perf_counter() - begun
+        start, done = np.array([False]), terminated or truncated
+        depths = env.simulation.overlaps(env.robot.handle, env.episode.astronaut.handle)
+        overlaps += [max(depths)] if depths else []
+        up = scene.terrain.up()
+        gained = (env.episode.body.velocity - before.velocity) @ up / 0.1
+        balance = float(env.episode.forces.sum(axis=0) @ up / scene.mass - gained - LUNAR_GRAVITY) / LUNAR_GRAVITY
+    return {
+        "task": scene.task,
+        "posture": scene.posture,
+        "success": bool(info.get("is_success", False)),
+        "failure": info.get("failure"),
+        "steps": env.episode.steps,
+        "contact_steps": len(overlaps),
+        "deep_steps": sum(depth > DEEP for depth in overlaps),
+        "deepest": max(overlaps, default=0.0),
+        "balance": balance if scene.task == "lift" and info.get("is_success") else None,
+        "peak_force": env.episode.peak_force,
+        "step_us": 1e6 * seconds / max(1, env.episode.steps),
+    }
+
+
+def summarise_convergence(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return a row an actor and setting: success, scenes lost and gained against the finest, overlaps, balance, cost."""
+    finest = rows[rows["setting"] == label(GRID[-1])].set_index(["actor", "seed"])["success"]
+    table = []
+    for (actor, setting), group in rows.groupby(["actor", "setting"], sort=False):
+        success = group.set_index("seed")["success"]
+        reference = finest.loc[actor].loc[success.index]
+        lifts = group["task"] == "lift"
+        table.append(
+            {
+                "actor": actor,
+                "setting": setting,
+                "scenes": len(group),
+                "success": success.mean(),
+                "lifts": group.loc[lifts, "success"].mean(),
+                "turns": group.loc[~lifts, "success"].mean(),
+                "lost": int((~success & reference).sum()),
+                "gained": int((success & ~reference).sum()),
+                "deep_share": group["deep_steps"].sum() / max(1, group["contact_steps"].sum()),
+                "deepest_median_mm": 1000 * group["deepest"].median(),
+                "balance_error_median": group["balance"].abs().median(),
+                "step_us_median": group["step_us"].median(),
+            }
+        )
+    return pd.DataFrame(table)
+
+
+def measure_convergence(
+    actors: Sequence[str],
+    tests: int,
+    first_seed: int,
+    *,
+    folder: Path = FOLDER,
+    tell: Callable[[str], object] = print,
+    quiet: bool = False,
+) -> pd.DataFrame:
+    """Run every actor on the same scenes under each setting of ``GRID``; write ``scenes.csv`` and ``summary.csv``.
+
+    Args:
+        actors: Run folders, methods that do not learn, and ``"plans"``.
+        tests: Number of scenes.
+        first_seed: Seed of the first one.
+        folder: Where the files go.
+        tell: Called with the summary as text.
+        quiet: Whether to leave the progress bar out.
+
+    Returns:
+        The summary, a row an actor and setting.
+
+    Raises:
+        UserError: On numbers out of range, an actor that does not load, or a place that cannot be written.
+    """
+    seeds = scene_seeds(tests, first_seed)
+    for actor in actors:
+        if actor != PLANS:
+            find_policy(actor)
+    table, summary = folder / "scenes.csv", folder / "summary.csv"
+    for path in (table, summary):
+        check_writable(path)
+    with locked(folder, "convergence study"):
+        job = partial(_test, actors=tuple(actors))
+        nested = map_scenes(job, seeds, _prepare, (tuple(actors),), title="convergence", quiet=quiet)
+        rows = pd.DataFrame([row for scene in nested for row in scene])
+        found = summarise_convergence(rows)
+        for path, content in ((table, rows.round(6)), (summary, found.round(4))):
+            write_atomically(path, lambda temporary, content=content: content.to_csv(temporary, index=False))
+            record_origin(path)
+    tell(found.round(3).to_string(index=False))
+    return found
