@@ -117,7 +117,7 @@ def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[
 
 
 def summarise_convergence(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return a row an actor and setting: success, scenes lost and gained against the finest, overlaps, balance, cost."""
+    """Return a row an actor and setting: success, lost and gained against the finest, overlaps, balance, cost."""
     finest = rows[rows["setting"] == label(GRID[-1])].set_index(["actor", "seed"])["success"]
     table = []
     for (actor, setting), group in rows.groupby(["actor", "setting"], sort=False):
