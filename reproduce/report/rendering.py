@@ -1,0 +1,50 @@
+"""Render the templates in ``templates/``: the report's pages, model cards, and the computed blocks of README and docs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+
+from reproduce.analysis.tables import markdown_table
+
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+def _table(frame: pd.DataFrame) -> str:
+    return markdown_table([str(column) for column in frame.columns], frame.to_numpy().tolist())
+
+
+_ENVIRONMENT = Environment(
+    loader=FileSystemLoader(TEMPLATES),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+_ENVIRONMENT.filters |= {
+    "count": "{:,.0f}".format,
+    "degrees": lambda angle: f"{math.degrees(angle):.0f} deg",
+    "percent": lambda share, digits=1: f"{100 * share:.{digits}f} %",
+    "points": lambda share: f"{100 * share:.1f}",
+    "span": lambda bounds, unit="": f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip(),
+    "spaced": lambda name: str(name).replace("_", " "),
+    "table": _table,
+}
+
+
+def template(name: str) -> Template:
+    """Return a template by its file's name without ``.j2``."""
+    return _ENVIRONMENT.get_template(f"{name}.j2")
+
+
+def render(name: str, **data: Any) -> str:
+    """Return the text of a template filled with data.
+
+    Raises:
+        jinja2.UndefinedError: Where the template wants something that is not in the data.
+    """
+    return template(name).render(data)
