@@ -58,6 +58,19 @@ def test_a_notebook_becomes_a_page_with_code_folded_and_pictures_described(tmp_p
     assert "notebooks/01_try.ipynb, cell 2" in text
 
 
+def test_a_page_of_an_earlier_run_says_so(tmp_path: Path) -> None:
+    page = executed(tmp_path / "notebooks" / "01_try.ipynb")
+    assert "earlier run" not in notebook_page(page).text
+    shutil.copyfile(page, page.with_name("01_try.failed.ipynb"))
+    first = build_report(page.parent, tmp_path, replays=False)
+    text = first.with_name("01_try.html").read_text()
+    warning = text[text.index("From an earlier run") :]
+    assert "notebooks/01_try.failed.ipynb" in warning and "finished 2026-01-01T00:00:00" in warning
+    assert not first.with_name("01_try.failed.html").exists() and "01_try.failed.html" not in first.read_text()
+    page.with_name("01_try.failed.ipynb").unlink()
+    assert "earlier run" not in build_report(page.parent, tmp_path, replays=False).with_name("01_try.html").read_text()
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with one trained and tested policy."""

@@ -37,7 +37,7 @@ def _result(path: str) -> dict[str, Any] | None:
 
 
 def _joints() -> list[dict[str, Any]]:
-    """Return each joint's name, its angle at action 0 and the range from -1 to 1 [deg], torque [N m] and speed [rad/s]."""
+    """Return each joint's name, angles [deg] at action 0, -1 and 1, and limits of torque [N m] and speed [rad/s]."""
     world = simulation.Simulation()
     try:
         arms = robot.Robot(world)

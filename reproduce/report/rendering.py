@@ -1,4 +1,4 @@
-"""Render the templates in ``templates/``: the report's pages, model cards, and the computed blocks of README and docs."""
+"""Render the templates in ``templates/``: pages of the report, model cards, computed blocks of README and docs."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ _ENVIRONMENT = Environment(
     keep_trailing_newline=True,
 )
 _ENVIRONMENT.filters |= {
+    "cell": lambda text: str(text).replace("|", "\\|").replace("\n", " "),
     "count": "{:,.0f}".format,
     "degrees": lambda angle: f"{math.degrees(angle):.0f} deg",
     "percent": lambda share, digits=1: f"{100 * share:.{digits}f} %",
