@@ -64,7 +64,7 @@ def notebook_page(path: Path, failed: Path | None = None) -> Page:
 
     Args:
         path: The executed notebook.
-        failed: What is left of a later run that stopped before its end; the page then says that it is of the run before.
+        failed: What is left of a later run that stopped before its end; the page then says so.
     """
     document = nbformat.read(path, as_version=4)
     pieces: dict[str, str] = {}

@@ -18,6 +18,14 @@ def _table(frame: pd.DataFrame) -> str:
     return markdown_table([str(column) for column in frame.columns], frame.to_numpy().tolist())
 
 
+def _percent(share: float, digits: int = 1) -> str:
+    return f"{100 * share:.{digits}f} %"
+
+
+def _span(bounds: tuple[float, float], unit: str = "") -> str:
+    return f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip()
+
+
 _ENVIRONMENT = Environment(
     loader=FileSystemLoader(TEMPLATES),
     undefined=StrictUndefined,
@@ -29,9 +37,9 @@ _ENVIRONMENT.filters |= {
     "cell": lambda text: str(text).replace("|", "\\|").replace("\n", " "),
     "count": "{:,.0f}".format,
     "degrees": lambda angle: f"{math.degrees(angle):.0f} deg",
-    "percent": lambda share, digits=1: f"{100 * share:.{digits}f} %",
+    "percent": _percent,
     "points": lambda share: f"{100 * share:.1f}",
-    "span": lambda bounds, unit="": f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip(),
+    "span": _span,
     "spaced": lambda name: str(name).replace("_", " "),
     "table": _table,
 }
