@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue import Scene, sample_scene
-from reproduce.experiments.evaluate import find_policy
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from reproduce.experiments.evaluate import find_policy, run_episode
 from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 
@@ -30,22 +30,16 @@ class WatchedPolicy:
         """
         self._policy, self._see = policy, see
 
-    def prepare(self, scene: Scene) -> None:
-        """Tell the other policy the scene, if it wants to know."""
-        if hasattr(self._policy, "prepare"):
-            self._policy.prepare(scene)
+    def __getattr__(self, name: str) -> Any:
+        """Be the other policy in all else: ``prepare``, if it wants to know the scene, and ``overlay``."""
+        return getattr(self._policy, name)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Choose actions as the other policy does, then report; see ``Policy.act``."""
         actions: Actions = self._policy.act(observations, starts)
-        subgoals = self.overlay().get("sub-goal")
+        subgoals = self._policy.overlay().get("sub-goal")
         self._see(None if subgoals is None else subgoals[0])
         return actions
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return what the other policy wants drawn."""
-        drawn: dict[str, NDArray[Any]] = self._policy.overlay()
-        return drawn
 
 
 def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
@@ -61,6 +55,22 @@ def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, tas
         raise UserError(f"seed: expected at least 0, got {seed}")
     _, policy = find_policy(where)
     return policy, sample_scene(seed, posture=posture, task=task)
+
+
+def act_out(
+    env: LunarRescueEnv, policy: Policy, scene: Scene, see: Callable[[NDArray[Any] | None, str], None]
+) -> dict[str, Any]:
+    """Act one rescue out while somebody looks on; return how it ended, as from ``run_episode``.
+
+    Args:
+        env: Where it is acted out; ``env.episode`` is what there is to be seen.
+        policy: Chooses the actions.
+        scene: The scene.
+        see: Called before each step with the sub-goals (2, 3) [m] or None and "", in the end with None and the ending.
+    """
+    row = run_episode(env, WatchedPolicy(policy, lambda subgoals: see(subgoals, "")), scene)
+    see(None, ending(row))
+    return row
 
 
 def ending(row: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,7 @@ from lunar_rescue import LunarRescueEnv
 from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
-from reproduce.experiments.evaluate import run_episode
-from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
 from reproduce.storage.files import write_atomically
 
 STRIP_PICTURES = 8
@@ -45,16 +45,12 @@ def film(
     env, studio = LunarRescueEnv(), Studio()
     frames: list[Picture] = []
 
-    def take(subgoals: NDArray[Any] | None = None, note: str = "") -> None:
+    def take(subgoals: NDArray[Any] | None, note: str) -> None:
         picture = studio.picture(env.episode, camera)
         frames.append(draw_overlay(picture, env.episode, camera, subgoals, note) if overlay else picture)
 
-    try:
-        row = run_episode(env, WatchedPolicy(policy, take), scene)
-        take(note=ending(row))
-    finally:
-        env.close()
-        studio.close()
+    with closing(env), closing(studio):
+        row = act_out(env, policy, scene, take)
     return frames, row
 
 

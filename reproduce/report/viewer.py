@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.pictures.stage import VisualShape
-from reproduce.experiments.evaluate import run_episode
-from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
 from reproduce.report.actors import Actors, Moment, Spectator
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
@@ -49,15 +48,11 @@ def record(where: str | Path, seed: int, posture: str | None = None, task: str |
     env, spectator = LunarRescueEnv(), Spectator()
     moments: list[Moment] = []
 
-    def note(subgoals: NDArray[Any] | None = None, words: str = "") -> None:
+    def note(subgoals: NDArray[Any] | None, words: str) -> None:
         moments.append(spectator.look(env.episode, subgoals, words)[0])
 
-    try:
-        row = run_episode(env, WatchedPolicy(policy, note), scene)
-        note(words=ending(row))
-    finally:
-        env.close()
-        spectator.close()
+    with closing(env), closing(spectator):
+        row = act_out(env, policy, scene, note)
     return Recording(scene, spectator.robot, moments, row)
 
 

@@ -32,7 +32,7 @@ class Mesh:
     faces: NDArray[np.int64]  # indices of corners (F, 3)
 
 
-def _lattice(rows: int, columns: int) -> NDArray[np.int64]:
+def lattice(rows: int, columns: int) -> NDArray[np.int64]:
     """Return the triangles of a lattice of points, ((rows - 1) * (columns - 1) * 2, 3)."""
     i = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     return np.concatenate([np.stack([i, i + 1, i + columns + 1], -1), np.stack([i, i + columns + 1, i + columns], -1)])
@@ -52,7 +52,7 @@ def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: flo
     points[:, 2] += np.sign(up).ravel() * stretch / 2
     normals = surface(2 - exponent).reshape(-1, 3) / half
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Mesh(points, normals, _lattice(*up.shape))
+    return Mesh(points, normals, lattice(*up.shape))
 
 
 def hull(corners: Array) -> Mesh:
@@ -95,7 +95,7 @@ def ground(
     slope_y, slope_x = np.gradient(z, line, line)
     normals = np.stack([-slope_x, -slope_y, np.ones_like(z)], -1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return Mesh(points.reshape(-1, 3), normals.reshape(-1, 3), _lattice(len(line), len(line)))
+    return Mesh(points.reshape(-1, 3), normals.reshape(-1, 3), lattice(len(line), len(line)))
 
 
 # -- suit ------------------------------------------------------------------------------------------------------------
