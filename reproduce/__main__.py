@@ -164,7 +164,7 @@ def notebooks(
 @app.command("report")
 def build(replays: console.Replays = True) -> None:
     """Build the report from the notebooks that were run."""
-    from reproduce.report import build_report
+    from reproduce.report.site import build_report
     from reproduce.storage.paths import RESULTS
 
     typer.echo(f"{build_report(RESULTS / 'notebooks', RESULTS, replays)}: report written")

@@ -27,8 +27,8 @@ from reproduce.experiments.evaluate import evaluate, rescue_scenes
 from reproduce.experiments.methods import METHODS, load_policy
 from reproduce.experiments.presets import PRESETS
 from reproduce.experiments.train import train
-from reproduce.report import build_report
 from reproduce.report.notebooks import check_parameters, find_notebooks, is_complete, parse_assignments, run_notebooks
+from reproduce.report.site import build_report
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.records import from_dict, to_dict
 

@@ -17,10 +17,10 @@ from reproduce.analysis.runs import reference_runs
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
-from reproduce.report import build_report
 from reproduce.report.cards import card, export, reference_run
 from reproduce.report.gallery import choose_clips
 from reproduce.report.notebook import fill_in, notebook_page
+from reproduce.report.site import build_report
 from reproduce.report.viewer import LARGEST, record, write_replay
 from reproduce.storage.errors import UserError
 

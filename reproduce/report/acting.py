@@ -22,12 +22,7 @@ class WatchedPolicy:
     """Wrap a policy and report its sub-goals before each action is executed."""
 
     def __init__(self, policy: Any, see: Callable[[NDArray[Any] | None], None]) -> None:
-        """Wrap a policy.
-
-        Args:
-            policy: Chooses the actions.
-            see: Called with the policy's sub-goals in the base frame (2, 3) [m], or None where it has none.
-        """
+        """Wrap a policy; ``see`` is given its sub-goals in the base frame (2, 3) [m], or None where it has none."""
         self._policy, self._see = policy, see
 
     def __getattr__(self, name: str) -> Any:

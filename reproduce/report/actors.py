@@ -47,32 +47,22 @@ FAR_AWAY = np.full(3, -50.0)  # m, where things are put that are not to be seen
 
 @dataclass(frozen=True)
 class Moment:
-    """Where everything is after one step.
+    """Say where everything is after one step: places [m] and quaternions, x y z w, in the scene."""
 
-    Attributes:
-        links: Place and quaternion (x y z w) of each link's frame.
-        suit: Place and quaternion of the suit's meshes.
-        ends: Arm ends (2, 3) [m].
-        targets: Target areas (2, 3) [m].
-        subgoals: In the scene (2, 3) [m], or None.
-        near: For each rock the joint and the mark point nearest to each other (2, 3) [m], and the colour.
-        words: Caption.
-    """
-
-    links: dict[int, tuple[Array, Array]]
-    suit: tuple[Array, Array]
-    ends: Array
-    targets: Array
-    subgoals: Array | None
-    near: list[tuple[Array, tuple[int, int, int]]]
-    words: str
+    links: dict[int, tuple[Array, Array]]  # place and quaternion of each link's frame
+    suit: tuple[Array, Array]  # place and quaternion of the suit's meshes
+    ends: Array  # arm ends (2, 3)
+    targets: Array  # target areas (2, 3)
+    subgoals: Array | None  # (2, 3)
+    near: list[tuple[Array, tuple[int, int, int]]]  # for each rock the line (2, 3) to the nearest joint, and its colour
+    words: str  # caption
 
 
 class Spectator:
     """Look at an episode and tell where everything is; a stage of its own computes the links' poses."""
 
     def __init__(self) -> None:
-        """Set the stage up."""
+        """Set up a stage on which nothing stands yet."""
         self._stage = StageSet(Stage())
         self.robot: list[VisualShape] = []
 

@@ -32,13 +32,8 @@ def film(
 ) -> tuple[list[Picture], dict[str, Any]]:
     """Act one rescue out; return its pictures, one a step and one of the end, and how it ended.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Of the scene.
-        posture: Draw the scene with this posture.
-        task: Draw the scene with this task.
-        overlay: Draw targets, sub-goals, mark points, distances and a caption.
-        size: Width and height [px]; films want multiples of 16.
+    The first four arguments are those of ``acting.load_policy_and_scene``; ``overlay`` draws targets, sub-goals, mark
+    points, distances and a caption; ``size`` is width and height [px], for films multiples of 16.
     """
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     camera = scene_camera(scene, size)

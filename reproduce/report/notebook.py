@@ -24,17 +24,11 @@ _HEADING = re.compile(r"^#{1,3} +(.+)$", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Page:
-    """Markdown with marks, and what stands for each mark in the finished page.
+    """Markdown with marks, and what stands for each mark in the finished page."""
 
-    Attributes:
-        title: First heading.
-        text: Markdown.
-        pieces: HTML by mark.
-    """
-
-    title: str
-    text: str
-    pieces: dict[str, str]
+    title: str  # the first heading
+    text: str  # Markdown
+    pieces: dict[str, str]  # HTML by mark
 
 
 def fill_in(page: str, pieces: dict[str, str]) -> str:

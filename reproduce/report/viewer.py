@@ -27,19 +27,12 @@ LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
 
 @dataclass(frozen=True)
 class Recording:
-    """A rescue that was acted out, with everything that is needed to show it.
-
-    Attributes:
-        scene: Its scene.
-        robot: What of the robot is seen.
-        moments: One a step and one of the end.
-        row: How it ended, as from ``run_episode``.
-    """
+    """A rescue that was acted out, with everything that is needed to show it."""
 
     scene: Scene
-    robot: list[VisualShape]
-    moments: list[Moment]
-    row: dict[str, Any]
+    robot: list[VisualShape]  # what of the robot is seen
+    moments: list[Moment]  # one a step and one of the end
+    row: dict[str, Any]  # how it ended, as from ``run_episode``
 
 
 def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:

@@ -81,11 +81,7 @@ class LiveView:
     """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Begin with an empty scene.
-
-        Args:
-            server: Serves the page.
-        """
+        """Begin with the empty scene of a server, which serves the page."""
         self._server, self._spectator = server, Spectator()
         self._actors: Actors | None = None
         self._due = 0.0
@@ -109,5 +105,5 @@ class LiveView:
             self._actors.show(moment)
 
     def close(self) -> None:
-        """Take the stage down."""
+        """Take the stage down; the server goes on."""
         self._spectator.close()
