@@ -127,7 +127,7 @@ class Actors:
         self._targets = self._balls("targets", TARGET_RADIUS, ARM_COLOURS, opacity=0.35, cast_shadow=False)
         colours = (SUBGOAL_COLOUR,) * 2 if subgoals else ()
         self._subgoals = self._balls("subgoals", 0.035, colours, subdivisions=1, flat_shading=True)
-        looks = {"thickness": 2.0, "thickness_units": "screen"}
+        looks: dict[str, Any] = {"thickness": 2.0, "thickness_units": "screen"}
         self._lines = self._scene.add_line_segments("/distances", *_segments(first), **looks)
         above = scene.terrain.height(scene.base_x, scene.base_y)
         place = np.array([scene.base_x, scene.base_y, float(above) + 1.15])

@@ -49,13 +49,6 @@ def _joints() -> list[dict[str, Any]]:
         world.close()
 
 
-def _minutes(seconds: pd.Series[float], step: str | None = None) -> str:
-    """Return the minutes of one step of the smoke batch, or of all, in words."""
-    if step is None:
-        return f"{seconds.sum() / 60:.1f}"
-    return f"{seconds[step] / 60:.1f}" if step in seconds else "not timed"
-
-
 def _readme() -> dict[str, Any]:
     """Return the results beside the paper's, and what it takes to make each of the paper's items."""
     trained = [run for run in reference_runs() if run.origin]
@@ -70,7 +63,7 @@ def _readme() -> dict[str, Any]:
         "without_folder": lambda command: re.sub(r" --out \S+", "", command),
         "trained": trained,
         "slowest_tests": f"{max(tests) / 60:.1f} a policy at most" if tests else "not timed",
-        "minutes": lambda step=None: _minutes(seconds, step),
+        "seconds": seconds.to_dict(),
         "notebooks": {path.name[:2]: path.stem for path in notebook_files()},
         "tables": TABLES,
         "report": REPORT,
