@@ -104,6 +104,7 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(
 def test_a_second_training_in_one_folder_is_refused_at_once(tmp_path: Path) -> None:
     first = _start(tmp_path / "run")
     assert wait_for((tmp_path / "run" / "config.json").is_file)
+    first.send_signal(signal.SIGSTOP)  # it would have ended before the second has begun where that is slow
     before = (tmp_path / "run" / "config.json").stat().st_mtime_ns
     command = f"{sys.executable} -m reproduce train ppo_lstm --preset smoke --out {tmp_path / 'run'}".split()
     second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
