@@ -77,6 +77,7 @@ def test_watch_refuses_what_makes_no_sense() -> None:
                 watch("scripted", tell=lambda _: None, **{"port": 0, **arguments})
 
 
+@pytest.mark.process
 def test_ctrl_c_ends_watch_in_one_line() -> None:
     command = [sys.executable, "-m", "reproduce", "watch", "scripted", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
