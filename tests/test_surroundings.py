@@ -106,3 +106,18 @@ os._exit(0)
 """
     _run(code, str(tmp_path / "answer"))
     assert (tmp_path / "answer").read_text() == "done"
+
+
+@pytest.mark.process
+def test_workers_start_without_a_home_and_with_a_long_temporary_folder(tmp_path: Path) -> None:
+    """The path of a socket has 107 characters at most, and the fork server's lies in TMPDIR."""
+    folder = tmp_path / ("long" * 50)
+    folder.mkdir()
+    code = (
+        "import os; from reproduce.experiments.evaluate import rescue_scenes\n"
+        "del os.environ['HOME']\n"
+        "if __name__ == '__main__':\n"
+        "    print([row['seed'] for row in rescue_scenes('random', 2, workers=2, quiet=True)])"
+    )
+    assert _run(code, TMPDIR=str(folder)) == "[0, 1]\n"
+    assert not list(folder.iterdir())
