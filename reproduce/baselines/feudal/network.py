@@ -99,15 +99,7 @@ class FunNetwork(BasePolicy):
     def __init__(
         self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
-        """Build the network that spaces and sizes describe.
-
-        Args:
-            seen: Space of flat observations (o,).
-            acts: Space of actions (a,).
-            lr_schedule: Learning rate.
-            log_std_init: Logarithm of the initial standard deviation.
-            **sizes: The sizes in ``FunSpec`` that the spaces do not tell.
-        """
+        """Build it for observations (o,) and actions (a,); ``sizes`` are those that ``FunSpec`` has besides."""
         for name, space in (("observation_space", seen), ("action_space", acts)):
             if not isinstance(space, spaces.Box) or len(space.shape) != 1:
                 raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
