@@ -15,7 +15,7 @@ ENDINGS = "py|md|toml|json|lock|csv|yml|yaml|urdf|obj|ipynb|html"
 NAME = re.compile(rf"`(?:[\w.-]+/)+[\w.-]*`|`\w+\.(?:{ENDINGS})`")
 #: What commands make, here or in the folder of a batch, and what stands for a name: METHOD, seedK.
 MADE = re.compile(
-    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded)/|.*(METHOD|PRESET|NAME|DIR)\b"
+    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded)(/|$)|.*(METHOD|PRESET|NAME|DIR)\b"
 )
 
 
