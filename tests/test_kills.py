@@ -69,6 +69,7 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: tuple[str, float],
     assert interrupted >= KILLS - 2 and resumed >= KILLS // 4  # else nothing was tested
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("number", "whole_group", "awaited"),
     [

@@ -79,6 +79,7 @@ def test_training_logs_for_tensorboard(results: Path) -> None:
     assert steps and steps[-1] == 512
 
 
+@pytest.mark.process
 def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) -> None:
     first = build_report(results / "notebooks", results, replays=False)
     site = first.parent

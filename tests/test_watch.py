@@ -88,6 +88,7 @@ def test_ctrl_c_ends_watch_in_one_line() -> None:
         assert len(process.stderr.read().strip().splitlines()) == 1
 
 
+@pytest.mark.process
 def test_a_replay_takes_endings_in_capitals_and_checks_the_place_first(tmp_path: Path) -> None:
     row = replay("random", 3, tmp_path / "X.PNG", size=(128, 128))
     assert (tmp_path / "X.PNG").stat().st_size > 1000 and "success" in row
