@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from reproduce.bench.stock import StockTraining, copy_rollout
 from reproduce.experiments.methods import METHODS

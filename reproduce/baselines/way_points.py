@@ -34,23 +34,14 @@ Degrees = Annotated[float, Field(ge=-90.0, le=90.0)]
 
 @dataclass(frozen=True, config=STRICT)
 class WayPoint:
-    """A wanted place of both arm ends.
+    """A wanted place of both arm ends."""
 
-    Attributes:
-        ahead: From the targets as first seen [m].
-        aside: From the targets as first seen, to the left [m].
-        up: From the targets as first seen [m].
-        slope: Forearm above the horizontal [deg].
-        waist: Waist angle [deg].
-        patience: Most steps to spend.
-    """
-
-    ahead: Metres
-    aside: Metres
-    up: Metres
-    slope: Degrees
-    waist: Degrees
-    patience: Annotated[int, Field(ge=1, le=120)]
+    ahead: Metres  # from the targets as first seen [m]
+    aside: Metres  # from the targets as first seen, to the left [m]
+    up: Metres  # from the targets as first seen [m]
+    slope: Degrees  # forearm above the horizontal [deg]
+    waist: Degrees  # waist angle [deg]
+    patience: Annotated[int, Field(ge=1, le=120)]  # most steps to spend
 
     def joints(self, targets: Array, before: Array) -> Array:
         """Solve the joint angles (11,) [rad], within their limits, that bring both arms to this way-point.

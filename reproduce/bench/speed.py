@@ -51,21 +51,13 @@ ENDINGS = {"smooth": "", "rough": "_rough"}
 
 @dataclass
 class Tally:
-    """Times and counts of one kind of ground, or of the peer, in one round.
+    """Times and counts of one kind of ground, or of the peer, in one round."""
 
-    Attributes:
-        steps: Steps that were taken.
-        resets: Resets before them.
-        stepping: Time of the steps [s].
-        resetting: Time of the resets [s].
-        inside: PyBullet's part of the time of the steps [s].
-    """
-
-    steps: int = 0
-    resets: int = 0
-    stepping: float = 0.0
-    resetting: float = 0.0
-    inside: float = 0.0
+    steps: int = 0  # steps that were taken
+    resets: int = 0  # resets before them
+    stepping: float = 0.0  # time of the steps [s]
+    resetting: float = 0.0  # time of the resets [s]
+    inside: float = 0.0  # PyBullet's part of the time of the steps [s]
 
     @property
     def rate(self) -> float:

@@ -134,15 +134,10 @@ def _begin(prepare: Callable[..., object] | None, arguments: tuple[Any, ...]) ->
 
 @dataclass
 class Stop:
-    """Which signal asked this process to end.
+    """Which signal asked this process to end."""
 
-    Attributes:
-        number: The signal's, or 0 while none came.
-        time: When the last one came, by ``time.monotonic`` [s].
-    """
-
-    number: int = 0
-    time: float = -math.inf
+    number: int = 0  # the signal's, or 0 while none came
+    time: float = -math.inf  # when the last one came, by ``time.monotonic`` [s]
 
     @property
     def code(self) -> int:

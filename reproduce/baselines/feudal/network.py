@@ -24,19 +24,12 @@ from reproduce.storage.records import Units
 
 
 class Memory(NamedTuple):
-    """What is carried from step to step, for n environments; stepping changes it in place.
+    """What is carried from step to step, for n environments; stepping changes it in place."""
 
-    Attributes:
-        clock: Steps since the episode began, (n,).
-        manager: Hidden and cell state of each group of the dilated LSTM, (n, 2, r, d).
-        worker: Hidden and cell state of Worker's LSTM, (n, 2, h).
-        goals: The last c goals sent to Worker, (n, c, d); the goal of step t is at t mod c.
-    """
-
-    clock: th.Tensor
-    manager: th.Tensor
-    worker: th.Tensor
-    goals: th.Tensor
+    clock: th.Tensor  # steps since the episode began, (n,)
+    manager: th.Tensor  # hidden and cell state of each group of the dilated LSTM, (n, 2, r, d)
+    worker: th.Tensor  # hidden and cell state of Worker's LSTM, (n, 2, h)
+    goals: th.Tensor  # the last c goals sent to Worker, (n, c, d); the goal of step t is at t mod c
 
     def forget(self, starts: th.Tensor) -> None:
         """Empty the memory of environments (n,) that begin an episode."""
@@ -51,25 +44,15 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """What both levels put out in one step of n environments.
+    """What both levels put out in one step of n environments."""
 
-    Attributes:
-        actions: Worker's, as drawn, (n, a).
-        log_probs: Logarithm of the actions' probability density, (n,).
-        goals: Goals sent to Worker, random ones among them, (n, d).
-        own_goals: Goals that Manager set, (n, d).
-        pooled: Sum of the last c goals, (n, d).
-        worker_values: V^D, (n,).
-        manager_values: V^M, (n,).
-    """
-
-    actions: th.Tensor
-    log_probs: th.Tensor
-    goals: th.Tensor
-    own_goals: th.Tensor
-    pooled: th.Tensor
-    worker_values: th.Tensor
-    manager_values: th.Tensor
+    actions: th.Tensor  # Worker's, as drawn, (n, a)
+    log_probs: th.Tensor  # logarithm of the actions' probability density, (n,)
+    goals: th.Tensor  # goals sent to Worker, random ones among them, (n, d)
+    own_goals: th.Tensor  # goals that Manager set, (n, d)
+    pooled: th.Tensor  # sum of the last c goals, (n, d)
+    worker_values: th.Tensor  # V^D, (n,)
+    manager_values: th.Tensor  # V^M, (n,)
 
 
 @checked

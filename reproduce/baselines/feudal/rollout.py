@@ -76,31 +76,18 @@ class FunBuffer(RolloutBuffer):
 
 @dataclass
 class FunRollout(Rollout):
-    """What Worker learns from, and what Manager learns from beside it.
+    """What Worker learns from, and what Manager learns from beside it."""
 
-    Attributes:
-        pooled: Sum of the last c goals at each step, (m, d).
-        directions: s_{t+c} - s_t, (m, d).
-        known: Whether the rollout goes far enough to know the direction, (m,).
-        old_cosines: Cosine between the direction and the goal that Manager set, (m,).
-        manager_advantages: A^M, (m,).
-        manager_returns: (m,).
-        clock: Steps since the episode began, (m,).
-        manager_states: State of the dilated LSTM before each sequence, (s, 2, r, d).
-        intrinsic: r^I, not yet weighted, (m,).
-        manager_explained: Explained variance of V^M.
-    """
-
-    pooled: th.Tensor
-    directions: th.Tensor
-    known: th.Tensor
-    old_cosines: th.Tensor
-    manager_advantages: th.Tensor
-    manager_returns: th.Tensor
-    clock: th.Tensor
-    manager_states: th.Tensor
-    intrinsic: th.Tensor
-    manager_explained: float
+    pooled: th.Tensor  # sum of the last c goals at each step, (m, d)
+    directions: th.Tensor  # s_{t+c} - s_t, (m, d)
+    known: th.Tensor  # whether the rollout goes far enough to know the direction, (m,)
+    old_cosines: th.Tensor  # cosine between the direction and the goal that Manager set, (m,)
+    manager_advantages: th.Tensor  # A^M, (m,)
+    manager_returns: th.Tensor  # (m,)
+    clock: th.Tensor  # steps since the episode began, (m,)
+    manager_states: th.Tensor  # state of the dilated LSTM before each sequence, (s, 2, r, d)
+    intrinsic: th.Tensor  # r^I, not yet weighted, (m,)
+    manager_explained: float  # explained variance of V^M
 
     def states_before(self, first: th.Tensor) -> th.Tensor:
         """Return the dilated LSTM's states (n, 2, r, d) before the sequences that begin at transitions ``first``."""

@@ -40,50 +40,32 @@ LONGEST = 6.5  # rad, a longer way leaves no time for the second process
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard to look for a way.
+    """How hard to look for a way."""
 
-    Attributes:
-        touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
-            to the ground gives way to a plate, which only trying out can tell.
-        draws: Draws of RRT-Connect for one way; without any only straight lines are tried.
-        slides: Slides of one stance for which a way is sought.
-    """
-
+    # how far into the resting body a slide may lead [m], tried one after the other: a suit that lies close to
+    # the ground gives way to a plate, which only trying out can tell
     touches: tuple[float, ...]
-    draws: int
-    slides: int
+    draws: int  # draws of RRT-Connect for one way; without any only straight lines are tried
+    slides: int  # slides of one stance for which a way is sought
 
 
 @strict_dataclass(frozen=True, config=STRICT)
 class Stance:
-    """How the waist leans while the plates slide in.
+    """How the waist leans while the plates slide in."""
 
-    Attributes:
-        under: Waist angle with the plates under the body [deg].
-        lean: How much further it leans per metre slid in [deg/m].
-    """
-
-    under: Degrees
-    lean: Annotated[float, Field(ge=-200.0, le=200.0)]
+    under: Degrees  # waist angle with the plates under the body [deg]
+    lean: Annotated[float, Field(ge=-200.0, le=200.0)]  # how much further it leans per metre slid in [deg/m]
 
 
 @strict_dataclass(frozen=True, config=STRICT)
 class Goal:
-    """Where one plate goes, beside its target.
+    """Where one plate goes, beside its target."""
 
-    Attributes:
-        ahead: Further under the body [m].
-        aside: Outwards, away from the other arm [m].
-        up: Higher [m].
-        slope: Forearm above the horizontal [deg].
-        turn: Direction of the slide, outwards from straight ahead [deg].
-    """
-
-    ahead: Metres = 0.0
-    aside: Metres = 0.0
-    up: Metres = 0.0
-    slope: Degrees = -3.0
-    turn: Degrees = 0.0
+    ahead: Metres = 0.0  # further under the body [m]
+    aside: Metres = 0.0  # outwards, away from the other arm [m]
+    up: Metres = 0.0  # higher [m]
+    slope: Degrees = -3.0  # forearm above the horizontal [deg]
+    turn: Degrees = 0.0  # direction of the slide, outwards from straight ahead [deg]
 
 
 @strict_dataclass(frozen=True, config=STRICT)

@@ -26,31 +26,18 @@ OTHER_WAY_AFTER = 8  # variants, before a second way under the body is looked fo
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do in one scene, and how it was found.
+    """What to do in one scene, and how it was found."""
 
-    Attributes:
-        actions: Actions (steps, 11) in [-1, 1].
-        under: Whether both arms came under the body when it was tried out.
-        rescued: Whether the rescue succeeded when it was tried out.
-        first_under: Whether the first way that the collision check let pass did, without another look.
-        first_rescued: Whether the first way with the first variant succeeded.
-        way: How the way under the body was found: ``"straight"``, ``"rrt"`` or ``"none"``.
-        ways_tried: Ways tried out.
-        variants_tried: Lifts or turns tried out.
-        variant: Which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene.
-        seconds: Time taken to plan, trials included.
-    """
-
-    actions: NDArray[np.float32]
-    under: bool
-    rescued: bool
-    first_under: bool
-    first_rescued: bool
-    way: str
-    ways_tried: int
-    variants_tried: int
-    variant: int
-    seconds: float
+    actions: NDArray[np.float32]  # actions (steps, 11) in [-1, 1]
+    under: bool  # whether both arms came under the body when it was tried out
+    rescued: bool  # whether the rescue succeeded when it was tried out
+    first_under: bool  # whether the first way that the collision check let pass did, without another look
+    first_rescued: bool  # whether the first way with the first variant succeeded
+    way: str  # how the way under the body was found: ``"straight"``, ``"rrt"`` or ``"none"``
+    ways_tried: int  # ways tried out
+    variants_tried: int  # lifts or turns tried out
+    variant: int  # which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene
+    seconds: float  # time taken to plan, trials included
 
 
 class RescuePlanner:

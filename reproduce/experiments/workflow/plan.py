@@ -33,19 +33,12 @@ MOST_SEEDS = 1000
 
 @dataclass(frozen=True)
 class Job:
-    """One step; its files are relative to the batch's folder.
+    """One step; its files are relative to the batch's folder."""
 
-    Attributes:
-        rule: Rule of the Snakefile that does it.
-        name: What people call it, such as "train hrl_dcs seed 0".
-        output: The file that it writes; the step is done when it is there.
-        label: Stem of its log and of the file with its seconds.
-    """
-
-    rule: str
-    name: str
-    output: Path
-    label: str
+    rule: str  # rule of the Snakefile that does it
+    name: str  # what people call it, such as "train hrl_dcs seed 0"
+    output: Path  # the file that it writes; the step is done when it is there
+    label: str  # stem of its log and of the file with its seconds
 
     @property
     def log(self) -> Path:
@@ -60,24 +53,15 @@ class Job:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that a batch is to do.
+    """Everything that a batch is to do."""
 
-    Attributes:
-        preset: Preset of trainings and notebooks.
-        methods: Names of methods in the registry's order.
-        seeds: Seeds of each method that learns, in order.
-        threads: Cores of one step.
-        environment: Version of the environment; results of another one are made anew.
-        configurations: A digest of each method's configuration; likewise.
-        notebooks: Names of the notebooks.
-    """
-
-    preset: str
-    methods: tuple[str, ...]
-    seeds: tuple[int, ...]
-    threads: int
-    environment: str
-    configurations: dict[str, str]
+    preset: str  # preset of trainings and notebooks
+    methods: tuple[str, ...]  # names of methods in the registry's order
+    seeds: tuple[int, ...]  # seeds of each method that learns, in order
+    threads: int  # cores of one step
+    environment: str  # version of the environment; results of another one are made anew
+    configurations: dict[str, str]  # a digest of each method's configuration; likewise
+    # names of the notebooks
     notebooks: tuple[str, ...] = field(default_factory=lambda: tuple(path.stem for path in notebook_files()))
 
     @classmethod
