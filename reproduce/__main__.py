@@ -61,7 +61,7 @@ def evaluate(
     """Test a policy: success with its interval, by task, posture and failure."""
     from reproduce.experiments.evaluate import evaluate as test
 
-    _print_evaluation(test(run, tests, first_seed, ablation=ablation, easy=easy, json=json))
+    test(run, tests, first_seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation)
 
 
 @app.command("evaluate-reference")

@@ -149,7 +149,7 @@ def test_results_are_printed_even_where_their_file_fails(tmp_path: Path, monkeyp
     def fail(path: Path, data: object) -> None:
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("reproduce.storage.files.write_json", fail)
+    monkeypatch.setattr("reproduce.experiments.evaluate.write_json", fail)
     done = call("evaluate", "scripted", "--tests", "1", "--json", str(tmp_path / "x.json"))
     assert done.code == 1 and "of 1 rescued" in done.out
     assert "No space left" in done.complaint and "x.json" in done.complaint

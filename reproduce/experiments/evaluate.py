@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,7 @@ def evaluate(
     ablation: str | None = None,
     easy: bool = False,
     json: Path | None = None,
+    tell: Callable[[dict[str, Any]], object] | None = None,
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
@@ -135,6 +137,7 @@ def evaluate(
         ablation: What is taken out of the policy, see ``hrl_dcs.ablation``.
         easy: Whether the scenes are the easy ones.
         json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
+        tell: Called with the summary before it is written, so that it is seen even where that fails.
     """
     table = rows_path(json) if json else None
     for path in filter(None, (json, table)):
@@ -151,8 +154,9 @@ def evaluate(
         "seconds_per_test": round(seconds / tests, 4),
         "origin": provenance(),
     }
-    if table:
+    if tell:
+        tell(summary)
+    if json and table:
         write_rows(table, rows)
-    if json:
         write_json(json, summary)
     return summary
