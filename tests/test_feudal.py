@@ -517,6 +517,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         FunNetwork(spaces.Box(0.0, 1.0, (4, 4), np.float32), box, lambda _: 0.0)
 
 
+@pytest.mark.process
 def test_it_trains_on_the_rescue() -> None:
     smoke = METHODS["fun"].config("smoke")
     low = replace(smoke.low, n_steps=16, batch_size=16, n_epochs=1, hidden_units=16)

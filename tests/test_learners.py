@@ -93,6 +93,7 @@ def test_losses_and_gradients_equal_the_stock_learners() -> None:
             assert th.allclose(mine[name], parameter.grad, atol=1e-5), name
 
 
+@pytest.mark.process
 def test_a_memory_task_is_solved() -> None:
     learner = make(SequencePPO, sequence_length=6, learning_rate=3e-3, n_epochs=8)
     learner.learn(8_000)

@@ -127,6 +127,7 @@ def test_collision_check_sees_rocks_and_keeps_away_from_them(checker: CollisionC
 
 
 # -- whole plans -------------------------------------------------------------------------------------------------------
+@pytest.mark.process
 def test_same_scene_same_plan(planner: RescuePlanner) -> None:
     scene = sample_scene(TRAIN_SEEDS[0])
     first = planner.plan(scene)
@@ -154,6 +155,7 @@ def test_planner_gets_both_arms_under_without_touching_a_rock(
     assert info["both_arms_under"]
 
 
+@pytest.mark.process
 def test_solvability_writes_rows_summary_and_origin(tmp_path: Path) -> None:
     summary = measure_solvability(2, TRAIN_SEEDS[0], variants=3, folder=tmp_path, json=tmp_path / "x.json", quiet=True)
     assert (

@@ -84,6 +84,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results
 
 
+@pytest.mark.process
 def test_training_logs_for_tensorboard(results: Path) -> None:
     events = EventAccumulator(str(results / "scratch" / "tensorboard"))
     events.Reload()
@@ -91,6 +92,7 @@ def test_training_logs_for_tensorboard(results: Path) -> None:
     assert steps and steps[-1] == 512
 
 
+@pytest.mark.process
 def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) -> None:
     first = build_report(results / "notebooks", results, replays=False)
     site = first.parent
@@ -134,6 +136,7 @@ def test_clips_show_a_success_and_a_failure_of_each_method_and_every_posture(
     assert len({clip.file for clip in clips}) == len(clips)
 
 
+@pytest.mark.process
 def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None:
     run = reference_run("ppo_lstm", results=results)
     text = card(run)

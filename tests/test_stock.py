@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from reproduce.bench.stock import StockTraining, copy_rollout
 from reproduce.experiments.methods import METHODS
 from reproduce.learning.training import OnlySpaces, make_learner
 
 
+@pytest.mark.process
 def test_stock_training_updates_both_layers_and_hands_its_rollout_over() -> None:
     smoke = METHODS["hrl_dcs"].config("smoke")
     config = replace(smoke, steps=10_000, n_envs=2, low=replace(smoke.low, n_steps=24, batch_size=32, n_epochs=1))

@@ -43,7 +43,7 @@ class SacConfig:
 @checked
 @dataclass(frozen=True)
 class SacTrainingConfig(TrainingConfig):
-    """A training of SAC, flat."""
+    """A training of SAC, which is flat: one learner."""
 
     sac: SacConfig = field(default_factory=SacConfig)
     """What only SAC has."""

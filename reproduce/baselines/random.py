@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.learning.policy import Actions, Observations
+from reproduce.learning.policy import Actions, Observations, Policy
 
 
-class RandomPolicy:
+class RandomPolicy(Policy):
     """Uniform actions in [-1, 1], the same for the same seed and order of calls."""
 
     def __init__(self, seed: Any = 0) -> None:
@@ -25,7 +25,3 @@ class RandomPolicy:
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Draw actions (n, 11) without a look at the observations; see ``Policy.act``."""
         return self._rng.uniform(-1.0, 1.0, (len(observations), JOINTS)).astype(np.float32)
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw, as random actions aim at no point."""
-        return {}

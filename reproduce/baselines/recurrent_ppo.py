@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,12 +51,6 @@ class FlatTraining(RecurrentTraining):
         env = EpisodeLog(venv)
         self.learner = make_learner(env, config.low, seed, bounded_mean=False)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
-
-    def update(self, done: int) -> dict[str, Any]:
-        """Collect a rollout and learn from it; ``done`` steps were taken before."""
-        self.collect(done)
-        self.learner.train()
-        return self.row()
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return the one network with its sizes; see ``Training``."""

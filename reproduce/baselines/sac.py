@@ -29,9 +29,9 @@ from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.config import SacConfig, SacTrainingConfig
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.finite import check_losses
 from reproduce.learning.networks import flat_spaces
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.learning.sequence_ppo import check_losses
 from reproduce.learning.standardiser import Standardiser, observe_all
 from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
@@ -196,12 +196,7 @@ class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
     def __init__(self, actor: Actor, mirrored: bool = True) -> None:
-        """Make a policy that acts in no environment yet.
-
-        Args:
-            actor: The trained network.
-            mirrored: Whether it sees scenes through ``reproduce.learning.mirror``.
-        """
+        """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
         super().__init__(mirrored)
         self._actor = actor
 

@@ -8,7 +8,6 @@ nothing of rocks, so it also tells how hard the problem is without looking at th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from lunar_rescue.physics.kinematics import solve_arm
 from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, INITIAL_WAIST, JOINTS, WAIST, WAIST_WINDOW
 from reproduce.baselines.way_points import ARRIVED, SCRIPT, Variant, WayPoint, load_way_points
 from reproduce.learning.actions import LOWER, UPPER
-from reproduce.learning.policy import Actions, Observations
+from reproduce.learning.policy import Actions, Observations, Policy
 
 Array = NDArray[np.float64]
 
@@ -48,7 +47,7 @@ class _Progress:
         return _to_action(self.joints)
 
 
-class ScriptedPolicy:
+class ScriptedPolicy(Policy):
     """Go through the script's way-points, with one state machine for each environment."""
 
     def __init__(self) -> None:
@@ -56,13 +55,9 @@ class ScriptedPolicy:
         self._script = load_way_points(SCRIPT)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
+        """Go on to the next way-point where one is reached; see ``Policy.act``."""
         rows = [self._one(i, row, bool(start)) for i, (row, start) in enumerate(zip(observations, starts, strict=True))]
         return np.array(rows, dtype=np.float32)
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw."""
-        return {}
 
     def _one(self, index: int, row: NDArray[np.float32], start: bool) -> Array:
         if start or index not in self._progress:

@@ -44,14 +44,9 @@ class WayPoint:
     patience: Annotated[int, Field(ge=1, le=120)]  # most steps to spend
 
     def joints(self, targets: Array, before: Array) -> Array:
-        """Solve the joint angles that bring both arms to this way-point.
+        """Solve the joint angles (11,) [rad], within their limits, that bring both arms to this way-point.
 
-        Args:
-            targets: The two targets as first seen, base frame (2, 3) [m].
-            before: Joint angles to begin from, also the preferred posture (11,) [rad].
-
-        Returns:
-            Arm A, arm B and waist (11,) [rad], within their limits.
+        ``targets`` are the two as first seen, base frame (2, 3) [m]; ``before`` (11,) is where to begin, and preferred.
         """
         joints = np.empty(JOINTS)
         joints[WAIST] = np.clip(np.radians(self.waist), LOWER[WAIST], UPPER[WAIST])
@@ -98,17 +93,7 @@ class _Variants:
 
 @lru_cache
 def load_way_points(path: Path) -> dict[str, tuple[Variant, ...]]:
-    """Read a file of way-points.
-
-    Args:
-        path: JSON whose ``kinds`` map a name, such as ``"lift prone"``, to lists of way-points.
-
-    Returns:
-        The variants of each kind, the most useful first.
-
-    Raises:
-        UserError: When the file is missing or its content is not of this form.
-    """
+    """Read from JSON the variants of each kind, such as ``"lift prone"``, the most useful first; see ``read_data``."""
     kinds = read_data(path, "file of way-points", _Variants).kinds
     return {name: tuple(tuple(variant) for variant in variants) for name, variants in kinds.items()}
 

@@ -51,7 +51,7 @@ class FlatEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._env.step_flat(action)
 
     def close(self) -> None:
-        """Disconnect from the physics server."""
+        """Disconnect from the physics server, as SB3 asks at the end."""
         self._env.close()
 
 

@@ -31,22 +31,14 @@ Floats = NDArray[np.float32]
 
 def flat_spaces(observations: int, actions: int) -> tuple[spaces.Box, spaces.Box]:
     """Return the spaces of observations (observations,), without bounds, and of actions (actions,) in [-1, 1]."""
-    return (
-        spaces.Box(-np.inf, np.inf, (observations,), np.float32),
-        spaces.Box(-1.0, 1.0, (actions,), np.float32),
-    )
+    return spaces.Box(-np.inf, np.inf, (observations,), np.float32), spaces.Box(-1.0, 1.0, (actions,), np.float32)
 
 
 class StateEncoder(BaseFeaturesExtractor):
     """Standardised observations through one fully connected layer, so that the LSTM sees features."""
 
     def __init__(self, observation_space: spaces.Box, features_dim: int = 128) -> None:
-        """Make the layer.
-
-        Args:
-            observation_space: Flat observations (d,).
-            features_dim: Units.
-        """
+        """Make the layer of ``features_dim`` units for flat observations (d,)."""
         super().__init__(observation_space, features_dim)
         size = observation_space.shape[0]
         self.layer = nn.Sequential(Standardiser(size), nn.Linear(size, features_dim), nn.Tanh())
@@ -69,16 +61,7 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
         bounded_mean: bool = False,
         **kwargs: Any,
     ) -> None:
-        """Build the network.
-
-        Args:
-            observation_space: Flat observations.
-            action_space: Box in [-1, 1].
-            lr_schedule: Learning rate.
-            hidden_units: Units of every layer and of the LSTM; paper: 128.
-            bounded_mean: Whether the mean passes a tanh, as SGN's sub-goals do.
-            **kwargs: See SB3's policies.
-        """
+        """Build it with ``hidden_units`` in every layer and the LSTM; with ``bounded_mean`` the mean passes a tanh."""
         super().__init__(
             observation_space,
             action_space,
@@ -106,7 +89,7 @@ class NetworkSpec(Spec):
     """Whether the mean passes a tanh."""
 
     def build(self) -> RecurrentNetwork:
-        """Make the network, not trained."""
+        """Make a network of these sizes, not trained."""
         seen, acts = flat_spaces(self.observations, self.actions)
         return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean)
 

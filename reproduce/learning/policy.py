@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,9 +31,10 @@ class Policy(Protocol):
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return what the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
+        return {}  # most methods aim at no point in space
 
 
-class MirroredPolicy(ABC):
+class MirroredPolicy(Policy):
     """Networks that act every step, seeing scenes through ``reproduce.learning.mirror`` if they were trained so."""
 
     def __init__(self, mirrored: bool) -> None:
@@ -58,7 +59,3 @@ class MirroredPolicy(ABC):
             self._mirror.begin(observations, starts)
         seen = self._mirror.observations(observations)
         return self._mirror.actions(to_environment(seen, self.outputs(seen, starts)))
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw: no sub-goal that lies in space."""
-        return {}

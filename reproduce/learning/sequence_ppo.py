@@ -6,6 +6,8 @@ at episode starts, so one fused LSTM call serves a minibatch.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,6 @@ from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
-from reproduce.learning.finite import check_losses
 from reproduce.learning.sequences import (
     TARGETS,
     Minibatch,
@@ -24,16 +25,17 @@ from reproduce.learning.sequences import (
     advantages_and_returns,
     minibatches,
     sequence_bounds,
-)
+)  # fmt: skip
 from reproduce.learning.standardiser import observe_all
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
+from reproduce.storage.errors import RunFailedError
 
 RATE_STEP = 1.2  # factor by which the learning rate changes after an update, where it follows the KL
 LEAST_FACTOR = 1.0 / 30.0
 
 
 class SequencePPO(RecurrentPPO):
-    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM.
+    """RecurrentPPO over flat observations, for a ``RecurrentNetwork``: an LSTM in the actor, none in the critic.
 
     Attributes:
         external_rollout: Transitions to train on that were collected elsewhere; SGN's are collected in LLN's view.
@@ -133,16 +135,11 @@ class SequencePPO(RecurrentPPO):
                 loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in targets.items()})
                 check_losses(self.where, log)
                 logs.append(log)
-                if self.target_kl is not None and log["approx_kl"] > 1.5 * self.target_kl:
-                    break
                 self.policy.optimizer.zero_grad()
                 loss.backward()
                 th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
                 self.policy.optimizer.step()
-            else:
-                self._n_updates += 1
-                continue
-            break
+            self._n_updates += 1
         self._limit_noise()
         # Only now, so that the rollout's log probabilities stayed what they were while it was learnt from.
         observe_all(self.policy, rollout.observations)
@@ -170,19 +167,14 @@ class SequencePPO(RecurrentPPO):
 
     def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
         """Return PPO's loss of one minibatch, and its parts by name for logging."""
-        progress = self._current_progress_remaining
-        clip = self.clip_range(progress)  # type: ignore[operator]
+        clip = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
         values, log_prob, entropy = self.evaluate_sequences(batch, data["actions"])
         advantages = data["advantages"]
         if self.normalize_advantage and len(advantages) > 1:  # one alone has no deviation
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         ratio = th.exp(log_prob - data["log_probs"])
         policy_loss = -th.min(advantages * ratio, advantages * th.clamp(ratio, 1 - clip, 1 + clip)).mean()
-        predicted = values
-        if self.clip_range_vf is not None:
-            most = self.clip_range_vf(progress)  # type: ignore[operator]
-            predicted = data["values"] + th.clamp(values - data["values"], -most, most)
-        value_loss = functional.mse_loss(data["returns"], predicted)
+        value_loss = functional.mse_loss(data["returns"], values)
         entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
         loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
         with th.no_grad():
@@ -200,19 +192,11 @@ class SequencePPO(RecurrentPPO):
     def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
         """Return values, log probabilities and entropies (m,) of a minibatch's real transitions, by one LSTM call."""
         policy: Any = self.policy  # sb3-contrib types its parts too loosely to follow
-        features = policy.extract_features(batch.observations.flatten(0, 1))
-        pi_features, vf_features = (features, features) if policy.share_features_extractor else features
+        pi_features, vf_features = policy.extract_features(batch.observations.flatten(0, 1))
         length, count = batch.mask.shape
         memory, _ = policy.lstm_actor(pi_features.view(length, count, -1), batch.hidden)
         memory = memory[batch.mask]
-        if policy.lstm_critic is not None:
-            raise ValueError(
-                "SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic"
-            )
-        if policy.shared_lstm:
-            latent_vf = memory.detach()
-        else:
-            latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
+        latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
         distribution = policy._get_action_dist_from_latent(policy.mlp_extractor.forward_actor(memory))
         values = policy.value_net(policy.mlp_extractor.forward_critic(latent_vf)).flatten()
         return values, distribution.log_prob(actions), distribution.entropy()
@@ -229,3 +213,18 @@ def _env_major(array: Any) -> Any:
     """Lay (t, n, ...) out as (n * t, ...) in float32, each environment's steps together."""
     swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
     return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))
+
+
+def check_losses(where: str, log: Mapping[str, float]) -> None:
+    """Stop a training at the first loss that is not finite, before it spoils the weights or a checkpoint.
+
+    Args:
+        where: Name of the learner and number of its update.
+        log: What is logged of an update; names of losses end in ``loss``.
+
+    Raises:
+        RunFailedError: Naming learner, update, loss and value.
+    """
+    for name, value in log.items():
+        if name.endswith("loss") and not math.isfinite(value):
+            raise RunFailedError(f"{where}: {name}: expected a finite number, got {value}; the training stops here")

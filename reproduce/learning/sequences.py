@@ -50,15 +50,9 @@ class Minibatch:
 
 
 def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[tuple[int, int]]:
-    """Cut one environment's transitions into sequences.
+    """Cut an environment's transitions, from index ``first`` of the rollout on, into sequences of at most ``length``.
 
-    Args:
-        starts: Which transitions begin an episode, (t,).
-        first: Index of the environment's first transition in the whole rollout.
-        length: Most transitions in a sequence.
-
-    Returns:
-        Beginning and end of each sequence, as indices into the whole rollout.
+    ``starts`` (t,) says which transitions begin an episode. Returns beginning and end of each sequence in the rollout.
     """
     cuts = [0, *[int(i) for i in np.flatnonzero(starts) if i > 0], len(starts)]
     bounds = []

@@ -54,21 +54,19 @@ def own_arguments(config: LearnerConfig) -> dict[str, Any]:
 
 
 def make_learner(
-    env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
+    env: Any,
+    config: LearnerConfig,
+    seed: int,
+    bounded_mean: bool = False,
+    kind: type[RecurrentPPO] = SequencePPO,
+    network: Any = RecurrentNetwork,
+    **more: Any,
 ) -> Any:
-    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
-    learner = kind(
-        RecurrentNetwork,
-        env,
-        policy_kwargs={
-            "hidden_units": config.hidden_units,
-            "bounded_mean": bounded_mean,
-            "log_std_init": config.log_std_init,
-        },
-        seed=seed,
-        **stock_arguments(config),
-        **(own_arguments(config) if issubclass(kind, SequencePPO) else {}),
-    )
+    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours, takes ``more``, or is the stock one."""
+    sizes = {"hidden_units": config.hidden_units, "log_std_init": config.log_std_init}
+    more |= own_arguments(config) if issubclass(kind, SequencePPO) else {}
+    more["policy_kwargs"] = sizes | ({"bounded_mean": True} if bounded_mean else {})
+    learner = kind(network, env, seed=seed, **stock_arguments(config), **more)
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 
@@ -170,7 +168,7 @@ class RecurrentTraining(Training):
     """A training with recurrent PPO, one rollout an update."""
 
     config: RecurrentConfig
-    logged = ("approx_kl", "explained_variance", "std", "value_loss")
+    logged: tuple[str, ...] = ("approx_kl", "explained_variance", "std", "value_loss")
 
     def __init__(
         self, config: RecurrentConfig, venv: Any, env: Any, collector: Any, learners: Mapping[str, Any]
@@ -182,6 +180,12 @@ class RecurrentTraining(Training):
         self.follow_schedule(done)
         steps = self.config.low.n_steps
         self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
+
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect a rollout and learn from it; ``done`` steps were taken before."""
+        self.collect(done)
+        self._collector.train()
+        return self.row()
 
 
 class OnlySpaces(ClosedVecEnv):

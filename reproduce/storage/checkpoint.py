@@ -87,9 +87,7 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     try:
         progress = from_dict(Progress, meta["progress"], "progress.")
         for level, learner in learners.items():
-            prefix = f"{level}."
-            own = {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-            learner.load_state(own, meta["learners"][level])
+            learner.load_state(_under(level, tensors), meta["learners"][level])
         th.set_rng_state(tensors["torch_rng"])
         kind, *numbers = meta["numpy_rng"]
         np.random.set_state((kind, tensors["numpy_rng"].numpy().astype(np.uint32), *numbers))  # noqa: NPY002
@@ -110,6 +108,12 @@ def _read_meta(path: Path) -> dict[str, Any]:
     return meta
 
 
+def _under(name: str, tensors: Mapping[str, th.Tensor]) -> dict[str, th.Tensor]:
+    """Return the tensors whose names begin with ``name`` and a dot, without both."""
+    prefix = f"{name}."
+    return {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
+
+
 def module_tensors(name: str, module: th.nn.Module) -> dict[str, th.Tensor]:
     """Return weights and statistics of a network, under its name."""
     return {f"{name}.{key}": tensor.clone() for key, tensor in module.state_dict().items()}
@@ -126,17 +130,15 @@ def optimizer_tensors(name: str, optimizer: th.optim.Optimizer) -> dict[str, th.
 
 def restore_module(name: str, module: th.nn.Module, tensors: dict[str, th.Tensor]) -> None:
     """Load into a network what ``module_tensors`` returned."""
-    prefix = f"{name}."
-    module.load_state_dict({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
+    module.load_state_dict(_under(name, tensors))
 
 
 def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
     """Load into an optimiser what ``optimizer_tensors`` returned."""
-    prefix, state = f"{name}.", dict[int, dict[str, th.Tensor]]()
-    for key, tensor in tensors.items():
-        if key.startswith(prefix):
-            index, what = key[len(prefix) :].split(".")
-            state.setdefault(int(index), {})[what] = tensor
+    state: dict[int, dict[str, th.Tensor]] = {}
+    for key, tensor in _under(name, tensors).items():
+        index, what = key.split(".")
+        state.setdefault(int(index), {})[what] = tensor
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 

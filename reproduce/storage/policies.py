@@ -76,15 +76,7 @@ def read_policy_json(folder: Path) -> dict[str, Any]:
 
 
 def load_policy_config(folder: Path, kind: type[Record]) -> Record:
-    """Read what ``policy.json`` holds besides networks.
-
-    Args:
-        folder: The run folder.
-        kind: Record class that the method has for it.
-
-    Raises:
-        UserError: Naming the field that is missing, unknown or wrong.
-    """
+    """Read what ``policy.json`` holds besides networks; ``UserError`` names a field that is missing or wrong."""
     raw = {k: v for k, v in read_policy_json(folder).items() if k not in ("format", "method", "networks")}
     return _record(kind, raw, f"{folder / 'policy.json'}: ")
 
@@ -121,8 +113,8 @@ def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: t
     for level, network in networks.items():
         fill(network, tensors, weights, level)
         network.set_training_mode(False)
-    known = {f"{level}.{name}" for level, network in networks.items() for name in network.state_dict()}
-    if unknown := sorted(set(tensors) - known):
+    known = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
+    if unknown := sorted(set(tensors).difference(known)):
         raise UserError(f"{weights}: unknown tensor {unknown[0]!r}")
     return networks
 

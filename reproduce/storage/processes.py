@@ -11,6 +11,7 @@ import math
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +19,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import forkserver, resource_tracker, util
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -30,6 +31,7 @@ SAME_REQUEST = 1.0  # s
 _TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
 _LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
 _PR_SET_PDEATHSIG = 1
+_LONGEST_FOLDER = 70  # characters; a socket's whole path may have 107
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -70,12 +72,22 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
 def start_fork_server() -> None:
     """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+    _keep_sockets_short()
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
+
+
+def _keep_sockets_short() -> None:
+    """Have ``multiprocessing`` make the folder of its sockets in /tmp where TMPDIR is too long for them."""
+    chosen = tempfile.gettempdir()
+    if len(chosen) > _LONGEST_FOLDER:
+        tempfile.tempdir = "/tmp"
+        util.get_temp_dir()  # made once, remembered, and removed at the end
+        tempfile.tempdir = chosen
 
 
 def map_in_processes(

@@ -42,13 +42,7 @@ class FunPPO(SequencePPO):
     rollout_buffer: FunBuffer
 
     def __init__(self, *args: Any, fun: FunConfig | None = None, **kwargs: Any) -> None:
-        """Make a learner as SequencePPO does, whose discount and lambda are Worker's.
-
-        Args:
-            *args: See ``SequencePPO``; the policy is ``FunNetwork``.
-            fun: What only this method has.
-            **kwargs: See ``SequencePPO``.
-        """
+        """Make a learner of a ``FunNetwork`` as SequencePPO does; discount and lambda are Worker's."""
         self.fun = fun or FunConfig()
         sizes = {name: getattr(self.fun, name) for name in ("goal_size", "embedding_size", "horizon")}
         kwargs["policy_kwargs"] = {**sizes, **(kwargs.get("policy_kwargs") or {})}
@@ -60,15 +54,8 @@ class FunPPO(SequencePPO):
         self.set_random_seed(self.seed)
         make: Any = self.policy_class
         self.policy = make(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
-        self.rollout_buffer = FunBuffer(
-            self.n_steps,
-            self.observation_space,
-            self.action_space,
-            device="cpu",
-            n_envs=self.n_envs,
-            spec=self.policy.spec,
-            sequence_length=self.sequence_length,
-        )
+        sizes: Any = {"n_envs": self.n_envs, "spec": self.policy.spec, "sequence_length": self.sequence_length}
+        self.rollout_buffer = FunBuffer(self.n_steps, self.observation_space, self.action_space, device="cpu", **sizes)
         self.memory = self.policy.empty_memory(self.n_envs)
         self._last_lstm_states: Any = ()  # sb3-contrib's, which ``memory`` stands in for
         # Goals reach over the end of a rollout: observations and goals of the last c - 1 steps before this one.
@@ -76,8 +63,6 @@ class FunPPO(SequencePPO):
         self._tail_observations = th.zeros(before, self.n_envs, self.policy.spec.observations)
         self._tail_goals = th.zeros(before, self.n_envs, self.fun.goal_size)
         self.clip_range = FloatSchedule(self.clip_range)
-        if self.clip_range_vf is not None:
-            self.clip_range_vf = FloatSchedule(self.clip_range_vf)
 
     # -- collecting ----------------------------------------------------------------------------------------------------
     def collect_rollouts(

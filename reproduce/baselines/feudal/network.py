@@ -46,13 +46,13 @@ class Memory(NamedTuple):
 class Step:
     """What both levels put out in one step of n environments."""
 
-    actions: th.Tensor  # worker's, as drawn, (n, a)
+    actions: th.Tensor  # Worker's, as drawn, (n, a)
     log_probs: th.Tensor  # logarithm of the actions' probability density, (n,)
     goals: th.Tensor  # goals sent to Worker, random ones among them, (n, d)
     own_goals: th.Tensor  # goals that Manager set, (n, d)
     pooled: th.Tensor  # sum of the last c goals, (n, d)
-    worker_values: th.Tensor  # v^D, (n,)
-    manager_values: th.Tensor  # v^M, (n,)
+    worker_values: th.Tensor  # V^D, (n,)
+    manager_values: th.Tensor  # V^M, (n,)
 
 
 @checked
@@ -82,15 +82,7 @@ class FunNetwork(BasePolicy):
     def __init__(
         self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
-        """Build the network that spaces and sizes describe.
-
-        Args:
-            seen: Space of flat observations (o,).
-            acts: Space of actions (a,).
-            lr_schedule: Learning rate.
-            log_std_init: Logarithm of the initial standard deviation.
-            **sizes: The sizes in ``FunSpec`` that the spaces do not tell.
-        """
+        """Build it for observations (o,) and actions (a,); ``sizes`` are those that ``FunSpec`` has besides."""
         for name, space in (("observation_space", seen), ("action_space", acts)):
             if not isinstance(space, spaces.Box) or len(space.shape) != 1:
                 raise ValueError(f"{name}: expected a Box of one dimension, got {space}")

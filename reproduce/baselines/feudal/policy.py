@@ -22,13 +22,7 @@ class FunPolicy(MirroredPolicy):
     """Manager and Worker, both acting every step, with no random goals."""
 
     def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
-        """Make a policy that acts in no environment yet.
-
-        Args:
-            network: Manager and Worker, trained.
-            mirrored: Whether they see scenes through ``reproduce.learning.mirror``.
-            deterministic: Whether Worker acts by its mean.
-        """
+        """Make a policy, by Worker's mean if ``deterministic``, that acts in no environment yet."""
         super().__init__(mirrored)
         self.network, self._deterministic = network, deterministic
 

@@ -24,13 +24,9 @@ class FunBuffer(RolloutBuffer):
     last_observations: list[tuple[int, NDArray[np.int64], th.Tensor]]
 
     def __init__(self, *args: Any, spec: FunSpec, sequence_length: int, **kwargs: Any) -> None:
-        """Make a buffer of zeros for one rollout.
+        """Make a buffer of zeros for one rollout of the network that ``spec`` describes.
 
-        Args:
-            *args: See ``RolloutBuffer``.
-            spec: Sizes of the network whose steps are stored.
-            sequence_length: Steps between stored states of the dilated LSTM; one of each step would fill 40 MB.
-            **kwargs: See ``RolloutBuffer``.
+        States of the dilated LSTM are stored every ``sequence_length`` steps; one of each step would fill 40 MB.
         """
         self._spec, self.sequence_length = spec, sequence_length
         super().__init__(*args, **kwargs)
@@ -86,7 +82,7 @@ class FunRollout(Rollout):
     directions: th.Tensor  # s_{t+c} - s_t, (m, d)
     known: th.Tensor  # whether the rollout goes far enough to know the direction, (m,)
     old_cosines: th.Tensor  # cosine between the direction and the goal that Manager set, (m,)
-    manager_advantages: th.Tensor  # a^M, (m,)
+    manager_advantages: th.Tensor  # A^M, (m,)
     manager_returns: th.Tensor  # (m,)
     clock: th.Tensor  # steps since the episode began, (m,)
     manager_states: th.Tensor  # state of the dilated LSTM before each sequence, (s, 2, r, d)

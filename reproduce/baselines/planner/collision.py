@@ -48,7 +48,7 @@ class CollisionChecker:
         self._grounds = [simulation.ground] + ([] if relief is None else [relief])
 
     def close(self) -> None:
-        """Disconnect from the simulation."""
+        """Disconnect from the simulation; nothing can be checked afterwards."""
         self._env.close()
 
     def free(self, angles: Array) -> bool:

@@ -56,20 +56,13 @@ class RescuePlanner:
         self._simulations: tuple[LunarRescueEnv, CollisionChecker] | None = None
 
     def close(self) -> None:
-        """Disconnect from the simulations."""
+        """Disconnect from both simulations, which a next scene starts anew."""
         for simulation in self._simulations or ():
             simulation.close()
         self._simulations = None
 
     def plan(self, scene: Scene) -> Plan:
-        """Plan a scene.
-
-        Args:
-            scene: Any scene.
-
-        Returns:
-            The first plan that succeeded, or the one that came furthest.
-        """
+        """Return the first plan of a scene that succeeded, or the one that came furthest."""
         begun = time.monotonic()
         if self._simulations is None:
             self._simulations = LunarRescueEnv(), CollisionChecker()
@@ -106,8 +99,7 @@ class _Search:
     def rescue(self, most: int) -> tuple[Trial, str, int]:
         """Try out at most so many variants on the ways under the body.
 
-        Returns:
-            The trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
+        Returns the trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
         """
         under = [*filter(None, [self._next_under()])]
         if not under:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import Scene
 from reproduce.baselines.planner.planner import Plan, RescuePlanner
-from reproduce.learning.policy import Actions, Observations
+from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 
 
-class PlannerPolicy:
+class PlannerPolicy(Policy):
     """Do what was planned for the scene, whatever is seen; one environment at a time."""
 
     def __init__(self, planner: RescuePlanner | None = None) -> None:
@@ -45,7 +43,3 @@ class PlannerPolicy:
         action = actions[min(self._step, len(actions) - 1)]
         self._step += 1
         return action[None].copy()
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw."""
-        return {}

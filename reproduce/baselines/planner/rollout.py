@@ -42,12 +42,9 @@ class Rollout:
         return Trial(np.array(self._actions), self._under, self._rescued)
 
     def rescue(self, approach: Trial, variant: Variant, targets: Array) -> Trial:
-        """Repeat an approach, then go through a variant's way-points.
+        """Repeat an approach that got both arms under, then go through the way-points of a lift or turn.
 
-        Args:
-            approach: Trial that got both arms under.
-            variant: Way-points of the lift or turn.
-            targets: The two targets as first seen, base frame (2, 3) [m].
+        ``targets`` are the two as first seen, in the base frame (2, 3) [m].
         """
         self._begin()
         for action in approach.actions:

@@ -115,17 +115,8 @@ def connect(
 ) -> Array | None:
     """Find a way by RRT-Connect (Kuffner and LaValle 2000): two trees that grow towards each other.
 
-    Args:
-        start: First configuration (n,).
-        goal: Last configuration (n,).
-        free: Whether a configuration is free of collision.
-        bounds: Smallest and largest configuration (n,).
-        rng: Where all draws come from.
-        draws: Most draws.
-        resolution: Distance between two checks.
-
-    Returns:
-        A path (m, n) from start to goal, or None when an end is not free or the draws did not suffice.
+    Configurations (n,) are drawn between ``bounds``, and lines checked every ``resolution`` [rad]. Returns a path
+    (m, n) from start to goal, or None when an end is not free or the draws did not suffice.
     """
     if not (free(start) and free(goal)):
         return None

@@ -126,11 +126,15 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RunFailedError(f"batch: Snakemake ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
-    lines = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
-    for line in lines:
-        if line.startswith(("output: ", "reason: Missing", "reason: Input", "reason: Params", "reason: Set")):
-            echo(line.removeprefix("output: ") if line.startswith("output: ") else f"  {line}")
-    steps = sum(line.startswith("output: ") for line in lines)
+    steps = 0
+    for line in map(str.strip, (done.stdout + done.stderr).splitlines()):
+        kind, _, rest = line.partition(": ")
+        if kind == "output":
+            steps += 1
+            for name in rest.split(", "):
+                echo(name)
+        elif line.startswith(("reason: Missing", "reason: Input", "reason: Params", "reason: Set")):
+            echo(f"  {line}")
     echo(f"{steps} steps left")
 
 

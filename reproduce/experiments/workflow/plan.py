@@ -66,11 +66,7 @@ class Plan:
 
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
-        """Plan the batch of some methods and seeds, given in any order.
-
-        Raises:
-            UserError: On an unknown preset or method.
-        """
+        """Plan the batch of some methods and seeds, in any order; an unknown preset or method is a UserError."""
         wanted = {get_method(method).name for method in methods}
         names = [name for name in METHODS if name in wanted]
         digests = {name: _digest(METHODS[name].config(preset)) for name in names}
@@ -78,11 +74,7 @@ class Plan:
 
     @classmethod
     def read(cls, path: Path) -> Plan:
-        """Read a plan that a batch has written.
-
-        Raises:
-            UserError: When the file is missing or holds no plan.
-        """
+        """Read a plan that a batch has written; a UserError where the file is missing or holds none."""
         data = read_json(path, "plan of a batch")
         try:
             return TypeAdapter(cls).validate_python(data)
@@ -139,11 +131,7 @@ def _digest(config: TrainingConfig) -> str:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names.
-
-    Raises:
-        UserError: On anything else.
-    """
+    """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names; a UserError says what else was given."""
     seeds: list[int] = []
     for part in text.split(","):
         first, separator, last = part.strip().partition("-")
