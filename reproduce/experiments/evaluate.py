@@ -139,24 +139,21 @@ def evaluate(
         json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
         tell: Called with the summary before it is written, so that it is seen even where that fails.
     """
-    table = rows_path(json) if json else None
-    for path in filter(None, (json, table)):
+    for path in (json, rows_path(json)) if json else ():
         check_writable(path)
     begun = time.monotonic()
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
     seconds = time.monotonic() - begun
+    conditions = {"ablation": ablation, "scenes": "easy" if easy else None}
     summary = {
         "method": find_policy(where)[0].name,
-        **({} if ablation is None else {"ablation": ablation}),
-        **({"scenes": "easy"} if easy else {}),
+        **{name: condition for name, condition in conditions.items() if condition},
         **summarise(rows),
-        "seconds": round(seconds, 2),
-        "seconds_per_test": round(seconds / tests, 4),
-        "origin": provenance(),
+        **{"seconds": round(seconds, 2), "seconds_per_test": round(seconds / tests, 4), "origin": provenance()},
     }
     if tell:
         tell(summary)
-    if json and table:
-        write_rows(table, rows)
+    if json:
+        write_rows(rows_path(json), rows)
         write_json(json, summary)
     return summary
