@@ -4,8 +4,6 @@ Positions are in the robot's base frame (x forward, y left, z up), which is what
 entries lie in one flat vector, which learners read as it is; the Dict observation's arrays are copies of its slices.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -13,13 +11,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.astronaut import AstronautState
 from lunar_rescue.physics.robot import JOINTS, WAIST, Robot, RobotState
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.scene import TASKS, Scene
 from lunar_rescue.scenes.suit import KEYPOINT_NAMES
-
-Array = NDArray[np.float64]
 
 BOUND = 5.0  # every entry is scaled to about [-1, 1] and clipped here
 

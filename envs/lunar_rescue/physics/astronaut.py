@@ -1,23 +1,19 @@
 """The suited astronaut in the simulation: one rigid body, moved by contact and friction alone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.bodies import RigidBody
 from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.scenes.postures import Posture
 from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.suit import keypoints, mass_properties
 from lunar_rescue.scenes.targets import target_areas
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,25 +4,20 @@ They have next to nothing to be seen (pictures are taken in a client of their ow
 hundred bytes behind in PyBullet, so the whole world is made anew every ``WORLD_LIFE`` episodes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.client import MOUND_FILE, Client, pb
 from lunar_rescue.physics.quiet import decimal_points
 from lunar_rescue.scenes.rocks import Rock
 from lunar_rescue.scenes.suit import Limbs, Part, mass_properties, suit_parts
 from lunar_rescue.scenes.terrain import Mound, Terrain, mounds
-
-Array = NDArray[np.float64]
 
 RESTITUTION = 0.0  # regolith does not bounce
 # Small, they stop a rocking body as dust would (assumption) [m].

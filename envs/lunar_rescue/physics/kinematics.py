@@ -5,8 +5,6 @@ frame, x forward, y left, z up [m]; angles [rad]. Everything is that of arm A (l
 arms, so arm B (right) is arm A mirrored: y of its points and directions turns round.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import TypeVar
 
@@ -14,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
-Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+from lunar_rescue.arrays import Array
+
+Floats = TypeVar("Floats", NDArray[np.float32], Array)
 
 WAIST_HEIGHT, TORSO, SHOULDER_Y = 0.30, 0.42, 0.36
 UPPER_ARM, FOREARM, PLATE = 0.50, 0.45, 0.45

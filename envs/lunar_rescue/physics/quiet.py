@@ -4,8 +4,6 @@ File descriptors and locale belong to the whole process, so threads take turns, 
 be.
 """
 
-from __future__ import annotations
-
 import ctypes
 import locale
 import os

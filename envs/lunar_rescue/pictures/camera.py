@@ -1,20 +1,13 @@
 """The camera of a picture: from the scene to pixels and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-if TYPE_CHECKING:
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+from lunar_rescue.arrays import Array, Floats
+from lunar_rescue.scenes.scene import Scene
 
 SIZE = (480, 352)  # px, multiples of 16 as films want them
 DISTANCE = 3.1  # m, camera from the point between robot and astronaut

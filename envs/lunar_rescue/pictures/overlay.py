@@ -1,24 +1,18 @@
 """What the rewards look at, drawn into a picture (F2): targets, sub-goals, mark points of rocks, and distances."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from lunar_rescue.arrays import Array
+from lunar_rescue.episode import Episode
 from lunar_rescue.physics.robot import ARMS
 from lunar_rescue.pictures.camera import Camera
 from lunar_rescue.pictures.rendering import Picture
 from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.tasks import TARGET_RADIUS
 
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 ARM_COLOURS: tuple[Colour, Colour] = ((90, 170, 255), (255, 160, 60))  # arm A, arm B

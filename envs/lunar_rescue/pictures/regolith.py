@@ -1,13 +1,11 @@
 """What regolith looks like from near: colour and relief of a square tile that repeats without seams, from a seed."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from lunar_rescue.arrays import Floats
 
 CELLS = 512
 TILE = 2.4  # m, side of the tile
@@ -17,7 +15,7 @@ RELIEF = 0.35  # of the slopes; more would look like rocks that nothing collides
 
 
 @lru_cache(maxsize=1)
-def tile() -> tuple[Array, Array]:
+def tile() -> tuple[Floats, Floats]:
     """Return brightness (CELLS, CELLS), mean 1, and slopes along x and y (CELLS, CELLS, 2) of the tile."""
     rng = np.random.default_rng(1969)
     fx, fy = np.meshgrid(*[np.fft.fftfreq(CELLS, 1 / CELLS)] * 2)
@@ -47,7 +45,7 @@ def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
     return height
 
 
-def surface(x: Array, y: Array, away: Array) -> tuple[Array, Array]:
+def surface(x: Floats, y: Floats, away: Floats) -> tuple[Floats, Floats]:
     """Return brightness (n,) and slopes (n, 2) of the ground at places x, y, fading where the camera is far.
 
     Args:

@@ -6,26 +6,21 @@ shadows and ground are worked out from that in NumPy, which is faster and finer 
 not move: it is drawn once for each scene and camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from lunar_rescue.arrays import Array, Floats
+from lunar_rescue.episode import Episode
 from lunar_rescue.pictures import regolith, shapes
 from lunar_rescue.pictures.camera import SUN_CELLS, Camera, scene_camera, sun_camera
 from lunar_rescue.pictures.stage import Stage
 from lunar_rescue.pictures.stage_set import GAMMA, StageSet
+from lunar_rescue.scenes.scene import Scene
 
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments throw back into the shadows

@@ -1,7 +1,5 @@
 """Shapes that are only seen: the suit with visor and gloves, rocks and ground."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.suit import Limbs, Part, suit_parts
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 CLOTH, HARD, TRIM = (0.90, 0.89, 0.86), (0.70, 0.73, 0.78), (0.75, 0.16, 0.12)

@@ -1,16 +1,13 @@
 """Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.client import Client, pb
-
-Array = NDArray[np.float64]
 
 #: Geometries of ``Stage.visual_shapes``.
 _SHAPES = {

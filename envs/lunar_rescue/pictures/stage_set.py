@@ -1,27 +1,20 @@
 """The bodies of a scene on a stage, moved as the episode goes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
+from lunar_rescue.episode import Episode
 from lunar_rescue.physics.client import DATA, ROBOT_FILE
 from lunar_rescue.physics.robot import JOINT_NAMES
 from lunar_rescue.pictures import shapes
 from lunar_rescue.pictures.stage import Stage
+from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.suit import mass_properties
-
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
 
 DETAILS_FILE = DATA / "robot_details.urdf"  # links of the robot that are only seen
 GAMMA = 2.2  # from brightness to what screens expect

@@ -1,7 +1,5 @@
 """Frozen dataclasses that pydantic checks: strict types, ranges, no extra fields, and errors of one line."""
 
-from __future__ import annotations
-
 import functools
 import reprlib
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Rocks of the work area: size, shape and mark points, as data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,13 +8,12 @@ from random import Random
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
 from lunar_rescue.scenes.terrain import PLACE_RANGE
 
-Array = NDArray[np.float64]
 Place = Annotated[float, within(PLACE_RANGE)]
 
 MAX_ROCKS = 7  # most rocks of 10 cm or more that the cited laws put into a 2 m x 2 m work area

@@ -1,26 +1,22 @@
 """A scene is data: what lies where, independent of any simulator."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.postures import Posture, all_postures, footprint, postures
 from lunar_rescue.scenes.records import checked, from_json, within
 from lunar_rescue.scenes.rocks import MAX_ROCKS, Rock
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 from lunar_rescue.scenes.targets import approach_sides
 from lunar_rescue.scenes.terrain import PLACE_RANGE, SMOOTH, Terrain
-
-Array = NDArray[np.float64]
 
 TASKS = ("lift", "turn_over")
 
@@ -118,7 +114,7 @@ class Scene:
         return json.dumps(dataclasses.asdict(self))
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Scene:
+    def from_json(cls, text: str | bytes) -> Self:
         """Read a scene back, bit for bit; ``ValueError`` names what is wrong."""
         return from_json(cls, text, "Scene.")
 

@@ -7,20 +7,16 @@ centimetres of suit around them; the life-support backpack and the chest unit ar
 Body frame: x to the front (ventral), y to the left, z to the head, origin in the middle of the torso.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
-
-Array = NDArray[np.float64]
 
 HIP_Z = -0.30  # m, hip joints below the middle of the torso
 SHOULDER = (0.0, 0.27, 0.20)  # m, left shoulder joint; the right one mirrors y

@@ -4,17 +4,13 @@ One area lies on the head's side of the centre of gravity and one on the feet's 
 under the body from the robot's side.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.postures import Posture
-
-Array = NDArray[np.float64]
 
 PLATE_HALF_WIDTH = 0.12  # m, half the plate's width (0.075) and room for not coming in quite squarely
 NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; arms reach no further apart

@@ -9,8 +9,6 @@ simulation next to nothing, whereas Bullet's heightfields and meshes cost half a
 (measured, see ``docs/environment.md``), and being solid they cannot hold a part of an arm from below.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,12 +16,10 @@ from random import Random
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
-
-Array = NDArray[np.float64]
 
 KINDS = ("smooth", "rough")
 MAX_SLOPE = 10.0  # deg
