@@ -1,11 +1,12 @@
 """Rocks of the work area: size, shape and mark points, as data."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -63,8 +64,7 @@ class Rock:
 
     def corners(self) -> Array:
         """Return the corners of the convex hull about its own centre, not turned (12, 3) [m]."""
-        scaled: Array = _bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2]
-        return scaled
+        return np.asarray(_bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2])
 
     def vertices(self) -> Array:
         """Return the corners of the convex hull in the world, (12, 3) [m]."""
@@ -97,32 +97,21 @@ def rock_marks(rocks: Sequence[Rock]) -> Array:
 @lru_cache(maxsize=1024)
 def _top(shape: int) -> tuple[float, float, float]:
     """Return the highest corner of a bumpy unit rock."""
-    corners = _bumpy(shape)
-    x, y, z = corners[np.argmax(corners[:, 2])].tolist()
+    x, y, z = max(_bumpy(shape).tolist(), key=lambda corner: corner[2])
     return x, y, z
-
-
-def _icosahedron() -> Array:
-    golden = (1 + math.sqrt(5)) / 2
-    corners: list[tuple[float, float, float]] = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a, b * golden, 0) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a * golden, 0, b) for a in (-1, 1) for b in (-1, 1)]
-    array = np.array(corners, dtype=np.float64)
-    return array / np.linalg.norm(array[0])
-
-
-_ICOSAHEDRON = _icosahedron()
 
 
 @lru_cache(maxsize=1024)
 def _bumpy(shape: int) -> Array:
-    """Return the corners of a bumpy unit rock, (12, 3)."""
-    bumps = np.random.default_rng(shape).uniform(0.85, 1.1, (len(_ICOSAHEDRON), 1))
-    return _ICOSAHEDRON * bumps
+    """Return the corners of a bumpy unit rock, an icosahedron's moved in or out, (12, 3)."""
+    g, signs = (1 + math.sqrt(5)) / 2, list(itertools.product((-1, 1), repeat=2))
+    corners: list[tuple[float, float, float]] = [(0, a, b * g) for a, b in signs]
+    corners += [(a, b * g, 0) for a, b in signs] + [(a * g, 0, b) for a, b in signs]
+    bumps = np.random.default_rng(shape).uniform(0.85, 1.1, (len(corners), 1))
+    return np.asarray(np.array(corners) / np.linalg.norm(corners[0]) * bumps)
 
 
-@dataclass(frozen=True)
-class Stone:
+class Stone(NamedTuple):
     """One stone of the quarry."""
 
     shape: int  # seed of its surface
@@ -170,12 +159,5 @@ def draw_rocks(rng: Random, centre: tuple[float, float], field: RockField) -> It
         else:
             dx, dy = rng.gauss(field.middle[0], CLUSTER), rng.gauss(field.middle[1], CLUSTER)
         stone = rng.choice(field.stones)
-        yield Rock(
-            x=centre[0] + dx,
-            y=centre[1] + dy,
-            diameter=stone.diameter,
-            height=stone.height,
-            buried=rng.uniform(*ROCK_BURIED),
-            yaw=rng.uniform(0.0, 2 * math.pi),
-            shape=stone.shape,
-        )
+        buried, yaw = rng.uniform(*ROCK_BURIED), rng.uniform(0.0, 2 * math.pi)
+        yield Rock(centre[0] + dx, centre[1] + dy, buried=buried, yaw=yaw, **stone._asdict())

@@ -4,8 +4,8 @@ One area lies on the head's side of the centre of gravity and one on the feet's 
 under the body from the robot's side.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ HIGHEST = 0.05  # m, a target lies no higher above the ground than this
 DEPTH: dict[str, float] = {"lift": 0.0, "turn_over": 0.15}
 
 
-@dataclass(frozen=True)
-class TargetAreas:
+class TargetAreas(NamedTuple):
     """Two target areas of one posture, side and task."""
 
     offsets: Array  # head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m]
@@ -57,13 +56,9 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
     points = posture.resting_surface()
     depth = DEPTH[task]
     along, towards, height = points[:, 0], side * points[:, 1], points[:, 2]
-    rows = []
-    for direction in (1, -1):
-        candidates = [
-            _candidate(direction * s, along, towards, height, depth) for s in np.arange(NEAREST, FURTHEST, STRIP)
-        ]
-        rows.append(max(candidates)[1:])
-    place, clearance, edge = np.array(rows).T
+    strips = np.arange(NEAREST, FURTHEST, STRIP)
+    best = [max(_candidate(s, along, towards, height, depth) for s in way * strips) for way in (1, -1)]
+    _, place, clearance, edge = np.array(best).T
     z = np.minimum(clearance / 2, HIGHEST) - posture.rest.height
     offsets = np.column_stack([place, np.full(2, side * depth), z])
     return TargetAreas(offsets, clearance, edge, edge - depth + BEFORE_EDGE)
