@@ -6,9 +6,8 @@ hundred bytes behind in PyBullet, so the whole world is made anew every ``WORLD_
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from scipy.spatial.transform import Rotation
 
@@ -27,8 +26,7 @@ WORLD_LIFE = 2048  # episodes
 KINDS = {"box": pb.GEOM_BOX, "capsule": pb.GEOM_CAPSULE, "sphere": pb.GEOM_SPHERE}
 
 
-@dataclass(frozen=True)
-class RigidBody:
+class RigidBody(NamedTuple):
     """A body that moves: handle and the frame that Bullet keeps (centre of gravity, principal axes)."""
 
     handle: int
@@ -38,10 +36,8 @@ class RigidBody:
 class Bodies(Client):
     """A world with ground, to which the bodies of one episode after another are added.
 
-    Attributes:
-        ground: Handle of the plane.
-        relief: Handle of the mounds, where the ground is rough.
-        friction: Coulomb coefficient between any two surfaces.
+    ``ground`` is the handle of the plane and ``relief`` that of the mounds, where the ground is rough; ``friction`` is
+    the Coulomb coefficient between any two surfaces.
     """
 
     def _begin(self) -> None:
@@ -76,9 +72,8 @@ class Bodies(Client):
             angularDamping=0.0,
             spinningFriction=SPINNING_FRICTION,
             rollingFriction=ROLLING_FRICTION,
-            lateralFriction=math.sqrt(self.friction),
-            restitution=RESTITUTION,
         )
+        self._set_friction(handle)
         self._removable.append(handle)
         return RigidBody(handle, _inverse_axes(limbs))
 

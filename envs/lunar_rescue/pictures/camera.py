@@ -59,12 +59,16 @@ class Camera:
         """Return where the camera is in the scene, (3,) [m]."""
         return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
 
+    @property
+    def towards(self) -> Array:
+        """Return the direction from what the camera looks at to the camera, unit vector (3,)."""
+        return np.asarray(self.view[2, :3])
+
     def project(self, points: Array) -> Array:
         """Return pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
         seen = points @ self.view[:3, :3].T + self.view[:3, 3]
         depth = -seen[:, 2]
-        across = self.projection[0, 0] * seen[:, 0] / depth
-        up = self.projection[1, 1] * seen[:, 1] / depth
+        across, up = self.projection[0, 0] * seen[:, 0] / depth, self.projection[1, 1] * seen[:, 1] / depth
         width, height = self.size
         return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
 
@@ -82,9 +86,8 @@ class Camera:
         width, height = self.size
         x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
         y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
-        gx, gy = np.meshgrid(x, y)
-        rays: Floats = (np.stack([gx, gy, -np.ones_like(gx)], -1) @ self.view[:3, :3]).astype(np.float32)
-        return rays
+        rays = np.stack([*np.meshgrid(x, y), np.full((height, width), -1.0)], -1) @ self.view[:3, :3]
+        return np.asarray(rays, np.float32)
 
 
 def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
@@ -92,12 +95,9 @@ def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN)
     x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
     z = float(scene.terrain.height(x, y))
     yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
-    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=_upright(scene))
-
-
-def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
-    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
-    return tuple(tuple(row) for row in turn.as_matrix().tolist())
+    turned, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
+    upright = tuple(tuple(row) for row in turned.as_matrix().tolist())
+    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=upright)
 
 
 def sun_camera(camera: Camera) -> Camera:

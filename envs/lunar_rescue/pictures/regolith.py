@@ -46,12 +46,9 @@ def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def surface(x: Floats, y: Floats, away: Floats) -> tuple[Floats, Floats]:
-    """Return brightness (n,) and slopes (n, 2) of the ground at places x, y, fading where the camera is far.
+    """Return brightness (n,) and slopes (n, 2) of the ground at places x, y [m], fading with the distance ``away`` [m].
 
-    Args:
-        x: Place [m].
-        y: Place [m].
-        away: Distance from the camera [m]; beyond some metres a grain is smaller than a pixel.
+    Beyond some metres from the camera a grain is smaller than a pixel.
     """
     brightness, slopes = tile()
     cell = (np.floor(y / TILE * CELLS).astype(int) % CELLS, np.floor(x / TILE * CELLS).astype(int) % CELLS)

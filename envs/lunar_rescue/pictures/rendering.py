@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lunar_rescue.arrays import Array, Floats
+from lunar_rescue.arrays import Floats
 from lunar_rescue.episode import Episode
 from lunar_rescue.pictures import regolith, shapes
 from lunar_rescue.pictures.camera import SUN_CELLS, Camera, scene_camera, sun_camera
@@ -25,11 +25,6 @@ Picture = NDArray[np.uint8]
 
 SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments throw back into the shadows
 WHITE = (1.0, 1.0, 1.0)
-
-
-def ground_mesh(scene: Scene, camera: Camera) -> shapes.Mesh:
-    """Return the ground as it is drawn for this camera."""
-    return shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
 
 
 @dataclass(frozen=True)
@@ -51,8 +46,7 @@ class Studio:
     def __init__(self, fine: int = 2) -> None:
         """Prepare an empty stage.
 
-        Args:
-            fine: The renderer works with so many times the pixels each way, which smooths edges; 1 is fastest.
+        The renderer works with ``fine`` times the pixels each way, which smooths edges; 1 is fastest.
         """
         self._fine = fine
         self._set, self._bare = StageSet(Stage()), Stage()  # the bodies, and the ground without them
@@ -64,19 +58,13 @@ class Studio:
         self._bare.close()
 
     def picture(self, episode: Episode, camera: Camera | None = None) -> Picture:
-        """Take a picture of an episode as it is now, (height, width, 3).
-
-        Args:
-            episode: Its scene, robot and body are drawn.
-            camera: ``scene_camera`` of the scene without one.
-        """
+        """Take a picture of an episode as it is now, (height, width, 3), by ``scene_camera`` unless told."""
         camera = camera or scene_camera(episode.scene)
         if self._set.show(episode, WHITE):
             self._ground = None
         if self._ground is None or self._ground.camera != camera:
             self._ground = self._draw_ground(episode.scene, camera)
-        ground = self._ground
-        light = self._light(ground)
+        ground, light = self._ground, self._light(self._ground)
         image = ground.colour * (ground.sunlight * light.ravel()[ground.cell] + AMBIENT + FILL)[..., None]
         self._draw_bodies(image, ground)
         return _finish(image, self._fine)
@@ -87,21 +75,20 @@ class Studio:
     def _draw_ground(self, scene: Scene, camera: Camera) -> _Ground:
         fine, sun = self._fine_camera(camera), sun_camera(camera)
         self._bare.clear()
-        mesh = ground_mesh(scene, camera)
+        mesh = shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
         self._bare.add_mesh((mesh.vertices, mesh.normals, mesh.faces, WHITE))
-        _, depth, seen = _look(self._bare, fine, sun)
-        _, sun_depth, _ = _look(self._bare, sun, sun)
+        _, depth, seen = self._bare.look(fine, sun)
+        _, sun_depth, _ = self._bare.look(sun, sun)
         rays = fine.rays()
-        sky = seen < 0
         away = fine.depth_in_metres(depth)
         points = (fine.eye + rays * away[..., None]).reshape(-1, 3)
         brightness, slopes = regolith.surface(points[:, 0], points[:, 1], away.ravel())
         tilt = _slopes(scene, points[:, :2], camera.target)
         normals = np.column_stack([-(slopes + tilt), np.ones(len(points))])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        cosine = (normals @ _towards(sun)).clip(0.0).astype(np.float32).reshape(away.shape)
+        cosine = (normals @ sun.towards).clip(0.0).astype(np.float32).reshape(away.shape)
         colour = brightness[:, None] * np.array(regolith.GREY, np.float32) ** GAMMA
-        colour[sky.ravel()] = 0.0
+        colour[seen.ravel() < 0] = 0.0
         where, _ = _cells(sun, points)
         return _Ground(
             camera,
@@ -115,7 +102,7 @@ class Studio:
 
     def _light(self, ground: _Ground) -> Floats:
         """Return the share of sun on the ground in each cell of the shadow map; keep the map of the bodies."""
-        _, depth, bodies = _look(self._set.stage, ground.sun, ground.sun)
+        _, depth, bodies = self._set.stage.look(ground.sun, ground.sun)
         self._map = np.where(bodies >= 0, ground.sun.depth_in_metres(depth), np.float32(1e3))
         lit = (self._map > ground.depth - 0.01).astype(np.float32)
         lit[[0, -1], :] = lit[:, [0, -1]] = 1.0  # beyond the map there is no shadow
@@ -123,7 +110,7 @@ class Studio:
 
     def _draw_bodies(self, image: Floats, ground: _Ground) -> None:
         camera, sun = self._fine_camera(ground.camera), ground.sun
-        shade, depth, bodies = _look(self._set.stage, camera, sun)
+        shade, depth, bodies = self._set.stage.look(camera, sun)
         mask = bodies >= 0
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
@@ -139,7 +126,7 @@ class Studio:
             grain = points[rocky] @ np.array([[1.0, 0.3], [0.4, 1.0], [0.7, -0.6]], np.float32)
             colour[rocky] *= regolith.surface(grain[:, 0], grain[:, 1], np.zeros(len(grain), np.float32))[0][:, None]
         lit = self._lit(sun, points) * shade[box][mask]
-        fill = _towards(replace(sun, yaw=ground.camera.yaw + 40.0, pitch=-25.0)).astype(np.float32)
+        fill = replace(sun, yaw=ground.camera.yaw + 40.0, pitch=-25.0).towards.astype(np.float32)
         up = np.array(ground.camera.upright, np.float32)[2]
         rest = AMBIENT + FILL * (0.55 + 0.45 * (normals @ up)) + 0.14 * (normals @ fill).clip(0.0)
         image[box][mask] = colour * (SUNLIGHT * lit + rest)[:, None]
@@ -152,15 +139,6 @@ class Studio:
         nearest = away - np.float32(0.04)
         lit = sum((flat.take(tap, mode="clip") > nearest).astype(np.float32) for tap in taps)
         return np.asarray(lit / np.float32(len(taps)), np.float32)
-
-
-def _look(stage: Stage, camera: Camera, sun: Camera) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    return stage.look(camera.view, camera.projection, camera.size, _towards(sun))
-
-
-def _towards(camera: Camera) -> Array:
-    """Return the direction from what a camera looks at to the camera, unit vector (3,)."""
-    return np.asarray(camera.view[2, :3])
 
 
 def _cells(sun: Camera, points: NDArray[Any]) -> tuple[NDArray[np.int32], Floats]:
@@ -195,5 +173,4 @@ def _slopes(scene: Scene, places: NDArray[Any], middle: tuple[float, ...], step:
 def _finish(image: Floats, fine: int) -> Picture:
     """Average the fine pixels and encode brightness as screens expect it."""
     small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
-    encoded: Picture = (255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)
-    return encoded
+    return np.asarray(255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)

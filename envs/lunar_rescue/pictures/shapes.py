@@ -18,6 +18,7 @@ VISOR, DARK = (0.80, 0.55, 0.12), (0.22, 0.22, 0.24)
 BASALT = (0.30, 0.28, 0.26)
 #: Colour of each suit part by the last word of its name.
 SUIT_COLOURS: dict[str, Colour] = {"backpack": HARD, "unit": HARD, "boot": DARK}
+HALF, FAR = 2.5, 45.0  # m, half sides of the work area and of what is seen of the ground
 ROUNDNESS = 0.25  # exponent of the rounded boxes: 0 is a box, 1 an ellipsoid
 
 
@@ -63,29 +64,23 @@ def hull(corners: Array) -> Mesh:
     return Mesh(vertices.reshape(-1, 3), np.repeat(outwards, 3, axis=0), np.arange(vertices.size // 3).reshape(-1, 3))
 
 
-def ground(
-    height: Callable[[Array, Array], Array], up: Array, centre: Array, half: float = 2.5, far: float = 45.0
-) -> Mesh:
-    """Return the ground: fine within ``half`` of ``centre``, coarser out to ``far``, where hills close the view.
+def ground(height: Callable[[Array, Array], Array], up: Array, centre: Array) -> Mesh:
+    """Return the ground, coarser beyond ``HALF`` of ``centre`` (2,) [m], out to ``FAR``, where hills close the view.
 
-    Args:
-        height: Heights [m] at places x, y [m].
-        up: Against gravity (3,); a slope levels off beyond the work area, so that the horizon stays level.
-        centre: Middle of the work area (2,) [m].
-        half: Half side of the work area [m].
-        far: Half side of what is seen [m].
+    ``height`` gives heights [m] at places x, y [m]; ``up`` is against gravity (3,): a slope levels off beyond the work
+    area, so that the horizon stays level.
     """
-    fine = np.linspace(-half, half, 101)
-    out = half * (far / half) ** np.linspace(0, 1, 25)[1:]
+    fine = np.linspace(-HALF, HALF, 101)
+    out = HALF * (FAR / HALF) ** np.linspace(0, 1, 25)[1:]
     line = np.concatenate([-out[::-1], fine, out])
     dx, dy = np.meshgrid(line, line)
     near = np.hypot(dx, dy).clip(1e-9)
     # Beyond the work area the ground goes on as at its edge.
-    within = np.minimum(1.0, half / np.maximum(np.abs(dx), np.abs(dy)).clip(1e-9))
+    within = np.minimum(1.0, HALF / np.maximum(np.abs(dx), np.abs(dy)).clip(1e-9))
     z = height(centre[0] + dx * within, centre[1] + dy * within)
     bearing = np.arctan2(dy, dx)
     ridge = 1.0 + 0.5 * np.sin(3 * bearing + 1.0) + 0.35 * np.sin(7 * bearing) + 0.15 * np.sin(17 * bearing + 2.0)
-    z = z + 1.3 * ridge * ((near - 12.0) / (far - 12.0)).clip(0.0) ** 1.5
+    z = z + 1.3 * ridge * ((near - 12.0) / (FAR - 12.0)).clip(0.0) ** 1.5
     level = -(up[0] * dx + up[1] * dy) / up[2]
     share = ((near - 3.0) / 9.0).clip(0.0, 1.0)
     z = z + level * share * share * (3 - 2 * share)
@@ -141,5 +136,5 @@ def _placed(part: Part, mesh: Mesh) -> Mesh:
     return _moved(Mesh(turn.apply(mesh.vertices), turn.apply(mesh.normals), mesh.faces), part.position)
 
 
-def _moved(mesh: Mesh, by: tuple[float, float, float]) -> Mesh:
+def _moved(mesh: Mesh, by: tuple[float, ...]) -> Mesh:
     return Mesh(mesh.vertices + by, mesh.normals, mesh.faces)

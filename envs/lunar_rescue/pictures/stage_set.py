@@ -50,10 +50,8 @@ class StageSet:
     ) -> bool:
         """Put everything where it is in the episode; return whether the scene is a new one.
 
-        Args:
-            episode: The episode.
-            colour: One colour for all (the true ones are in ``colours``), or None for the true ones.
-            upright: Turns everything about the origin (3, 3), for a camera that cannot lean.
+        With one ``colour`` for all, the true ones are in ``colours``; ``upright`` turns everything about the origin
+        (3, 3), for a camera that cannot lean.
         """
         new = episode.scene is not self._scene
         turn = np.eye(3) if upright is None else upright
@@ -63,30 +61,23 @@ class StageSet:
             for handle in self._stones:
                 self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
             origin, axes = base_frame(episode)
-            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
-        self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
-        centre, quaternion = suit_pose(episode, turn)
-        self.stage.place(self._suit, centre, quaternion)
+            self.stage.place(self.robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
+        self.stage.turn_joints(self.robot, self._joints, episode.robot.angles)
+        self.stage.place(self._suit, *suit_pose(episode, turn))
         return new
-
-    @property
-    def robot(self) -> int:
-        """Return the robot's handle on the stage."""
-        return self._robot
 
     def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
         self.stage.clear()
-        self._robot, joints, links = self.stage.add_robot(self._robot_file)
+        self.robot, joints, links = self.stage.add_robot(self._robot_file)
         self._joints = [joints[name] for name in JOINT_NAMES]
         suit = shapes.suit_shapes(scene.model.limbs)
         self._suit = self._add(suit, colour)
-        self._stones = stones = [
-            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
-        ]
-        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
+        rocks = [{shapes.BASALT: shapes.hull(rock.vertices())} for rock in scene.rocks]
+        self._stones = stones = [self._add(rock, colour) for rock in rocks]
+        self.colours = np.ones((max([self.robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
         for link, own in links.items():
-            self.colours[self._robot, link + 1] = own
-            self.stage.paint(self._robot, link, colour or own)
+            self.colours[self.robot, link + 1] = own
+            self.stage.paint(self.robot, link, colour or own)
         self.colours[self._suit, : len(suit)] = list(suit)
         self.colours[stones] = shapes.BASALT
         self.colours **= GAMMA

@@ -13,9 +13,7 @@ from pydantic import Field
 
 from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
-from lunar_rescue.scenes.terrain import PLACE_RANGE
-
-Place = Annotated[float, within(PLACE_RANGE)]
+from lunar_rescue.scenes.terrain import Place
 
 MAX_ROCKS = 7  # most rocks of 10 cm or more that the cited laws put into a 2 m x 2 m work area
 ROCK_SIZE_RANGE = (0.10, 0.30)  # m, diameter; larger rocks would be driven around

@@ -16,7 +16,7 @@ from lunar_rescue.scenes.records import checked, from_json, within
 from lunar_rescue.scenes.rocks import MAX_ROCKS, Rock
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 from lunar_rescue.scenes.targets import approach_sides
-from lunar_rescue.scenes.terrain import PLACE_RANGE, SMOOTH, Terrain
+from lunar_rescue.scenes.terrain import SMOOTH, Place, Terrain
 
 TASKS = ("lift", "turn_over")
 
@@ -26,8 +26,6 @@ FRICTION_RANGE = (0.7, 0.9)  # regolith friction angle 35 to 42 deg (NTRS 197300
 BASE_RANGE = (0.75, 2.5)  # m, base to centre of gravity in any scene; nearer the robot would stand in the body
 BASE_RADIUS = 0.30  # m, in any scene; drawn rocks keep further away
 SAME = 1e-6  # m or half turns, what is written twice in a scene agrees within this
-
-Place = Annotated[float, within(PLACE_RANGE)]
 
 
 @checked
