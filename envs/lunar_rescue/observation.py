@@ -6,7 +6,7 @@ entries lie in one flat vector, which learners read as it is; the Dict observati
 
 import json
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -22,8 +22,7 @@ from lunar_rescue.scenes.scene import TASKS, Scene
 BOUND = 5.0  # every entry is scaled to about [-1, 1] and clipped here
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """One key of the observation."""
 
     key: str  # the paper's symbol

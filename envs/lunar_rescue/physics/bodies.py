@@ -18,10 +18,6 @@ from lunar_rescue.scenes.rocks import Rock
 from lunar_rescue.scenes.suit import Limbs, Part, mass_properties, suit_parts
 from lunar_rescue.scenes.terrain import Mound, Terrain, mounds
 
-RESTITUTION = 0.0  # regolith does not bounce
-# Small, they stop a rocking body as dust would (assumption) [m].
-SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
-START_FRICTION = 0.8  # until an episode sets its own
 WORLD_LIFE = 2048  # episodes
 KINDS = {"box": pb.GEOM_BOX, "capsule": pb.GEOM_CAPSULE, "sphere": pb.GEOM_SPHERE}
 
@@ -51,7 +47,7 @@ class Bodies(Client):
         self._shapes: dict[Any, int] = {}
         self._removable: list[int] = []
         self._episodes = 0
-        self.friction = START_FRICTION
+        self.friction = 0.8  # until an episode sets its own
 
     @property
     def needs_rebuild(self) -> bool:
@@ -70,24 +66,23 @@ class Bodies(Client):
             localInertiaDiagonal=(properties.inertia * mass).tolist(),
             linearDamping=0.0,
             angularDamping=0.0,
-            spinningFriction=SPINNING_FRICTION,
-            rollingFriction=ROLLING_FRICTION,
+            spinningFriction=0.01,  # both small, they stop a rocking body as dust would (assumption) [m]
+            rollingFriction=0.005,
         )
         self._set_friction(handle)
         self._removable.append(handle)
         return RigidBody(handle, _inverse_axes(limbs))
 
     def _compound(self, parts: tuple[Part, ...]) -> int:
-        return int(
-            self._client.createCollisionShapeArray(
-                shapeTypes=[KINDS[p.kind] for p in parts],
-                halfExtents=[p.size if p.kind == "box" else (1, 1, 1) for p in parts],
-                radii=[0.1 if p.kind == "box" else p.size[0] for p in parts],
-                lengths=[p.size[1] if p.kind == "capsule" else 0.1 for p in parts],
-                collisionFramePositions=[p.position for p in parts],
-                collisionFrameOrientations=[p.quaternion for p in parts],
-            )
+        shape: int = self._client.createCollisionShapeArray(
+            shapeTypes=[KINDS[p.kind] for p in parts],
+            halfExtents=[p.size if p.kind == "box" else (1, 1, 1) for p in parts],
+            radii=[0.1 if p.kind == "box" else p.size[0] for p in parts],
+            lengths=[p.size[1] if p.kind == "capsule" else 0.1 for p in parts],
+            collisionFramePositions=[p.position for p in parts],
+            collisionFrameOrientations=[p.quaternion for p in parts],
         )
+        return shape
 
     def _cached_shape(self, key: Any, make: Callable[[], int]) -> int:
         """Return a collision shape, which is built once in a world's life."""
@@ -141,8 +136,9 @@ class Bodies(Client):
         self._episodes += 1
 
     def _set_friction(self, handle: int, link: int = -1) -> None:
-        # Bullet multiplies the two surfaces' coefficients: the square root makes the product the wanted one.
-        self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=RESTITUTION)
+        # Bullet multiplies the two surfaces' coefficients: the square root makes the product the wanted one. Regolith
+        # does not bounce.
+        self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=0.0)
 
 
 @lru_cache(maxsize=256)

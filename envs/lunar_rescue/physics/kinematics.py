@@ -31,9 +31,7 @@ POSTURE = 0.01  # weight of the distance from the preferred joints [1/rad]
 class ArmChain:
     """Place n arms and tell how joints and waist move them.
 
-    Attributes:
-        direction: Unit vectors along forearm and plate (n, 3).
-        normal: Unit vectors normal to the plates' faces (n, 3).
+    ``direction`` are unit vectors along forearm and plate, ``normal`` those normal to the plates' faces (n, 3).
     """
 
     def __init__(self, waists: Array, joints: Array) -> None:
@@ -104,9 +102,9 @@ def solve_arms(
 ) -> tuple[Array, Array]:
     """Solve the inverse kinematics of n poses of one arm: ends at targets, plates level across, forearms sloping.
 
-    Ends are wanted at ``targets`` (n, 3) [m] and forearms ``slopes`` (n,) [rad] above the horizontal; the waist stays at
-    ``waists`` (n,) [rad]. ``side`` is +1 for arm A, -1 for arm B; ``starts`` (n, 5) [rad] are the first guesses and also
-    the preferred postures, within the joints' bounds ``lower`` and ``upper`` (5,) [rad].
+    Ends are wanted at ``targets`` (n, 3) [m] and forearms ``slopes`` (n,) [rad] above the horizontal; the waist stays
+    at ``waists`` (n,) [rad]. ``side`` is +1 for arm A, -1 for arm B; ``starts`` (n, 5) [rad] are the first guesses and
+    also the preferred postures, within the joints' bounds ``lower`` and ``upper`` (5,) [rad].
 
     Returns the joints (n, 5) [rad] and the remaining distances of the ends from the targets (n,) [m].
     """

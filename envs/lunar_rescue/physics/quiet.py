@@ -22,18 +22,15 @@ def no_greeting() -> Iterator[None]:
         for descriptor, stream in ((1, sys.stdout), (2, sys.stderr)):
             with suppress(AttributeError, ValueError, OSError):  # None, closed, or a pipe that nobody reads
                 stream.flush()
-            stack.enter_context(_to_nowhere(descriptor))
+            with suppress(OSError):  # closed
+                stack.enter_context(_to_nowhere(descriptor))
         yield
 
 
 @contextmanager
 def _to_nowhere(descriptor: int) -> Iterator[None]:
-    """Redirect one file descriptor; does nothing where it is closed."""
-    try:
-        original = os.dup(descriptor)
-    except OSError:
-        yield
-        return
+    """Redirect one file descriptor; ``OSError`` where it is closed."""
+    original = os.dup(descriptor)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, descriptor)

@@ -10,12 +10,8 @@ from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.scenes.scene import Scene
 
 SIZE = (480, 352)  # px, multiples of 16 as films want them
-DISTANCE = 3.1  # m, camera from the point between robot and astronaut
-PITCH = -18.0  # deg
 TURN = 68.0  # deg, camera beside the line from robot to astronaut
 GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
-FIELD_OF_VIEW = 42.0  # deg, upright
-NEAR, FAR = 0.3, 90.0  # m
 SUN_BESIDE, SUN_HEIGHT = -72.0, 33.0  # deg, the sun stands beside the camera, so that shapes show
 SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that cast shadows, cells of the shadow map
 
@@ -25,15 +21,15 @@ class Camera:
     """Where a picture is taken from."""
 
     target: tuple[float, float, float]  # point looked at, in the scene (3,) [m]
-    distance: float = DISTANCE  # from there [m]
+    distance: float = 3.1  # from there [m]
     yaw: float = 0.0  # heading of the view; 0 looks along y [deg]
-    pitch: float = PITCH  # negative looks down [deg]
+    pitch: float = -18.0  # negative looks down [deg]
     size: tuple[int, int] = SIZE  # width and height [px]
     # turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera
     upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    field_of_view: float = FIELD_OF_VIEW  # upright [deg]
-    near: float = NEAR  # nearest that is seen [m]
-    far: float = FAR  # furthest that is seen [m]
+    field_of_view: float = 42.0  # upright [deg]
+    near: float = 0.3  # nearest that is seen [m]
+    far: float = 90.0  # furthest that is seen [m]
 
     @cached_property
     def view(self) -> Array:
@@ -102,14 +98,7 @@ def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN)
 
 def sun_camera(camera: Camera) -> Camera:
     """Return the sun as a camera that sees the middle of the scene; it stands beside the camera."""
+    placed = replace(camera, distance=SUN_AWAY, yaw=camera.yaw + SUN_BESIDE, pitch=-SUN_HEIGHT)
     opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
-    return replace(
-        camera,
-        distance=SUN_AWAY,
-        yaw=camera.yaw + SUN_BESIDE,
-        pitch=-SUN_HEIGHT,
-        size=(SUN_CELLS, SUN_CELLS),
-        field_of_view=opening,
-        near=SUN_AWAY - 5.0,
-        far=SUN_AWAY + 5.0,
-    )
+    size, near, far = (SUN_CELLS, SUN_CELLS), SUN_AWAY - 5.0, SUN_AWAY + 5.0
+    return replace(placed, size=size, field_of_view=opening, near=near, far=far)

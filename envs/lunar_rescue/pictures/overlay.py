@@ -1,6 +1,6 @@
 """What the rewards look at, drawn into a picture (F2): targets, sub-goals, mark points of rocks, and distances."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -25,8 +25,7 @@ NEAR_COLOURS: tuple[Colour, ...] = ((255, 60, 50), (255, 215, 70), (150, 170, 15
 PROCESSES = {1: "getting both arms under", 2: "raising"}
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """A joint and the mark point that is nearest to it."""
 
     joint: Array  # place of the joint (3,) [m]
@@ -69,7 +68,11 @@ def draw_overlay(
     _draw_rocks(pen, episode)
     _draw_targets(pen, episode)
     if subgoals is not None and np.isfinite(subgoals).all():
-        _draw_subgoals(pen, episode, subgoals_in_scene(episode, subgoals))
+        for end, place, colour in zip(
+            episode.robot.ends, subgoals_in_scene(episode, subgoals), ARM_COLOURS, strict=True
+        ):
+            pen.line(end, place, SUBGOAL_COLOUR, 150)
+            pen.diamond(place, SUBGOAL_COLOUR, colour)
     _draw_caption(pen, caption(episode, note))
     return np.asarray(image, dtype=np.uint8)
 
@@ -154,12 +157,6 @@ def _draw_targets(pen: _Pen, episode: Episode) -> None:
         pen.disc(end, 0.012, colour, 255)
         if away > TARGET_RADIUS:
             pen.text((end + target) / 2, f"{100 * away:.0f} cm", colour)
-
-
-def _draw_subgoals(pen: _Pen, episode: Episode, places: Array) -> None:
-    for end, place, colour in zip(episode.robot.ends, places, ARM_COLOURS, strict=True):
-        pen.line(end, place, SUBGOAL_COLOUR, 150)
-        pen.diamond(place, SUBGOAL_COLOUR, colour)
 
 
 def _draw_caption(pen: _Pen, lines: list[str]) -> None:

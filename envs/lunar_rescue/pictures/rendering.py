@@ -6,8 +6,8 @@ shadows and ground are worked out from that in NumPy, which is faster and finer 
 not move: it is drawn once for each scene and camera.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,7 @@ SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments t
 WHITE = (1.0, 1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class _Ground:
+class _Ground(NamedTuple):
     """What stays the same between the pictures of one scene and camera; images at the renderer's size."""
 
     camera: Camera
@@ -76,7 +75,7 @@ class Studio:
         fine, sun = self._fine_camera(camera), sun_camera(camera)
         self._bare.clear()
         mesh = shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
-        self._bare.add_mesh((mesh.vertices, mesh.normals, mesh.faces, WHITE))
+        self._bare.add_mesh((*mesh, WHITE))
         _, depth, seen = self._bare.look(fine, sun)
         _, sun_depth, _ = self._bare.look(sun, sun)
         rays = fine.rays()

@@ -1,7 +1,7 @@
 """Shapes that are only seen: the suit with visor and gloves, rocks and ground."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,7 @@ HALF, FAR = 2.5, 45.0  # m, half sides of the work area and of what is seen of t
 ROUNDNESS = 0.25  # exponent of the rounded boxes: 0 is a box, 1 an ellipsoid
 
 
-@dataclass(frozen=True)
-class Mesh:
+class Mesh(NamedTuple):
     """Triangles with smooth normals."""
 
     vertices: Array  # corners (V, 3) [m]
@@ -37,8 +36,8 @@ def lattice(rows: int, columns: int) -> NDArray[np.int64]:
     return np.concatenate([np.stack([i, i + 1, i + columns + 1], -1), np.stack([i, i + columns + 1, i + columns], -1)])
 
 
-def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: float = 0.0) -> Mesh:
-    """Return a superellipsoid of these half extents [m], stretched along z by ``stretch`` [m] (a capsule)."""
+def rounded(half: tuple[float, ...], exponent: float = 1.0, stretch: float = 0.0, by: tuple[float, ...] = (0,)) -> Mesh:
+    """Return a superellipsoid of these half extents [m], stretched along z (a capsule) and moved [m]."""
     around, up = np.meshgrid(np.linspace(-np.pi, np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 14))
 
     def surface(power: float) -> Array:
@@ -51,7 +50,7 @@ def rounded(half: tuple[float, ...] | Array, exponent: float = 1.0, stretch: flo
     points[:, 2] += np.sign(up).ravel() * stretch / 2
     normals = surface(2 - exponent).reshape(-1, 3) / half
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Mesh(points, normals, lattice(*up.shape))
+    return Mesh(points + by, normals, lattice(*up.shape))
 
 
 def hull(corners: Array) -> Mesh:
@@ -91,24 +90,23 @@ def ground(height: Callable[[Array, Array], Array], up: Array, centre: Array) ->
     return Mesh(points.reshape(-1, 3), normals.reshape(-1, 3), lattice(len(line), len(line)))
 
 
-# -- suit ------------------------------------------------------------------------------------------------------------
 def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
     """Return the suit in the body frame, a mesh for each colour; its outlines are those of the colliding parts."""
     shapes: dict[Colour, list[Mesh]] = {}
     for part in suit_parts(limbs):
+        turn = Rotation.from_quat(part.quaternion)
         own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
         for mesh, colour in [(_mesh(part), own), *_details(part)]:
-            shapes.setdefault(colour, []).append(_placed(part, mesh))
+            placed = Mesh(turn.apply(mesh.vertices) + part.position, turn.apply(mesh.normals), mesh.faces)
+            shapes.setdefault(colour, []).append(placed)
     return {colour: _joined(meshes) for colour, meshes in shapes.items()}
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
-    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.normals for mesh in meshes]),
-        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
-    )
+    vertices, normals, faces = zip(*meshes, strict=True)
+    starts = np.cumsum([0] + [len(corners) for corners in vertices[:-1]])
+    moved = [own + start for own, start in zip(faces, starts, strict=True)]
+    return Mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(moved))
 
 
 def _mesh(part: Part) -> Mesh:
@@ -121,20 +119,11 @@ def _details(part: Part) -> list[tuple[Mesh, Colour]]:
     """Return visor, gloves or coloured bands, a hair's breadth outside the part that they sit on."""
     if part.name == "helmet":
         radius = part.size[0]
-        return [(_moved(rounded((0.75 * radius, 0.8 * radius, 0.66 * radius)), (0.36 * radius, 0.0, 0.0)), VISOR)]
+        return [(rounded((0.75 * radius, 0.8 * radius, 0.66 * radius), by=(0.36 * radius, 0.0, 0.0)), VISOR)]
     if part.name.endswith("forearm"):
         radius, length = part.size
-        return [(_moved(rounded((1.06 * radius,) * 3, stretch=0.06), (0.0, 0.0, length / 2 - 0.01)), DARK)]
+        return [(rounded((1.06 * radius,) * 3, stretch=0.06, by=(0.0, 0.0, length / 2 - 0.01)), DARK)]
     if part.name.endswith(("upper_arm", "thigh")):
         radius = 1.05 * part.size[0]
         return [(rounded((radius, radius, 0.008), stretch=0.05), TRIM)]
     return []
-
-
-def _placed(part: Part, mesh: Mesh) -> Mesh:
-    turn = Rotation.from_quat(part.quaternion)
-    return _moved(Mesh(turn.apply(mesh.vertices), turn.apply(mesh.normals), mesh.faces), part.position)
-
-
-def _moved(mesh: Mesh, by: tuple[float, ...]) -> Mesh:
-    return Mesh(mesh.vertices + by, mesh.normals, mesh.faces)

@@ -1,7 +1,7 @@
 """Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ _FIXED_LINK = {
 }
 
 
-@dataclass(frozen=True)
-class VisualShape:
+class VisualShape(NamedTuple):
     """One shape of a link."""
 
     link: int  # its index, -1 for the base

@@ -22,8 +22,6 @@ ROCK_EXPONENT, HELDOUT_EXPONENT = -1.755, -2.661
 # Height/diameter: mean, spread, least, most (same source; spread halved).
 ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
-# What any scene may have, drawn or not: height and height of the ground [m], share under the ground.
-HEIGHT_RANGE, GROUND_RANGE, BURIED_RANGE = (0.02, 0.5), (-1.0, 1.0), (0.0, 0.95)
 FLANK = 0.475  # of the diameter, radius of the ring of flank marks
 WORK_AREA = 1.15  # m, half side of the square around the astronaut in which scattered rocks lie
 #: The stones that scenes are drawn from, by their shape's seed; the simulation keeps their shapes. Sizes are the law's
@@ -39,16 +37,16 @@ CLUSTER_DISTANCE = (0.5, 1.0)  # m, of that middle from the astronaut
 @checked
 @dataclass(frozen=True)
 class Rock:
-    """One rock, half buried."""
+    """One rock, half buried; the ranges are those of any scene, drawn or not."""
 
     x: Place  # position in the world [m]
     y: Place  # position in the world [m]
     diameter: Annotated[float, within(ROCK_SIZE_RANGE)]  # mean horizontal diameter [m]
-    height: Annotated[float, within(HEIGHT_RANGE)]  # whole height, buried part included [m]
-    buried: Annotated[float, within(BURIED_RANGE)]  # share of the height under the ground
+    height: Annotated[float, within((0.02, 0.5))]  # whole height, buried part included [m]
+    buried: Annotated[float, within((0.0, 0.95))]  # share of the height under the ground
     yaw: Place  # heading [rad]
     shape: Annotated[int, Field(ge=0)]  # seed of the surface's bumps
-    ground: Annotated[float, within(GROUND_RANGE)] = 0.0  # height of the ground here [m]
+    ground: Annotated[float, within((-1.0, 1.0))] = 0.0  # height of the ground here [m]
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -67,16 +65,11 @@ class Rock:
     def vertices(self) -> Array:
         """Return the corners of the convex hull in the world, (12, 3) [m]."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        turned: Array = self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return turned + self.middle
-
-    def marks(self) -> Array:
-        """Return the mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
-        return rock_marks((self,))
+        return np.asarray(self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + self.middle)
 
 
 def rock_marks(rocks: Sequence[Rock]) -> Array:
-    """Return the mark points of several rocks, five each as in ``Rock.marks``, (5 n, 3) [m]."""
+    """Return the mark points that AAPF and observation use, each rock's top and four round its flank, (5 n, 3) [m]."""
     if not rocks:
         return np.zeros((0, 3))
     rows = []

@@ -1,8 +1,8 @@
 """The suited astronaut as a set of rigid parts, from the angles of the limbs.
 
-A pressurised suit holds its posture, so one rigid body per posture is the model (an assumption,
-see the assumptions table). Lengths follow the 50th percentile male of NASA-STD-3000 with some
-centimetres of suit around them; the life-support backpack and the chest unit are boxes.
+A pressurised suit holds its posture, so one rigid body per posture is the model (an assumption, see the assumptions
+table). Lengths follow the 50th percentile male of NASA-STD-3000 with some centimetres of suit around them; the
+life-support backpack and the chest unit are boxes.
 
 Body frame: x to the front (ventral), y to the left, z to the head, origin in the middle of the torso.
 """
@@ -107,8 +107,7 @@ def suit_parts(limbs: Limbs) -> tuple[Part, ...]:
     parts.append(Part("helmet", "sphere", (0.17,), (0.02, 0.0, 0.45), identity, 0.06))
     parts.append(_capsule("hips", np.array([0, -0.08, HIP_Z]), np.array([0, 0.08, HIP_Z]), 0.14, 0.07))
     for side, name in ((1, "left"), (-1, "right")):
-        parts.extend(_arm(limbs, side, name))
-        parts.extend(_leg(limbs, side, name))
+        parts += [*_arm(limbs, side, name), *_leg(limbs, side, name)]
     return tuple(parts)
 
 

@@ -23,7 +23,6 @@ from lunar_rescue.scenes.records import checked, within
 
 KINDS = ("smooth", "rough")
 MAX_SLOPE = 10.0  # deg
-PLACE_RANGE = (-100.0, 100.0)  # m or rad, where anything in a scene may lie and turn to
 ROUGH_SHARE = 0.5  # of the scenes, in every split
 RELIEF_HALF = (1.9, 1.6)  # m, half sides of the ground on which mounds lie, along and across the body
 #: The patch without mounds, which the body pressed flat as it fell: to head and feet, and to the front's and the back's
@@ -41,7 +40,7 @@ RELIEFS = range(16)  # reliefs that scenes are drawn from; the simulation keeps 
 HELDOUT_RELIEFS = range(1000, 1008)  # no training scene has these
 RELIEF_STREAM = 1622  # keeps the generator of reliefs apart from others with the same seed
 
-Place = Annotated[float, within(PLACE_RANGE)]
+Place = Annotated[float, within((-100.0, 100.0))]  # m or rad, where anything in a scene may lie and turn to
 
 
 class Mound(NamedTuple):
