@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from lunar_rescue.arrays import Array
+from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.physics.astronaut import AstronautState
 from lunar_rescue.physics.client import DATA
 from lunar_rescue.physics.robot import WAIST, Robot, RobotState
@@ -50,7 +49,7 @@ def observation_space() -> spaces.Dict:
     return spaces.Dict([(e.key, spaces.Box(-BOUND, BOUND, (e.size,), np.float32)) for e in ENTRIES])
 
 
-def as_dict(vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+def as_dict(vector: Floats) -> dict[str, Floats]:
     """Slice flat observations, (..., SIZE), into the Dict's arrays."""
     return {key: vector[..., where].copy() for key, where in SLICES.items()}
 
@@ -91,12 +90,11 @@ class Observer:
         rows = np.zeros((MAX_ROCKS, 5))
         if scene.rocks:
             x, y = (0.5 * float(targets[0, i] + targets[1, i]) for i in (0, 1))
-            far = [math.hypot(rock.x - x, rock.y - y) for rock in scene.rocks]
-            order = sorted(range(len(far)), key=far.__getitem__)
-            used = rows[: len(order)]
-            used[:, :3] = self.to_base(marks[::5][order])
-            used[:, 3] = [scene.rocks[index].flank for index in order]
-            used[:, 4] = 1.0
+            order = sorted(
+                range(len(scene.rocks)), key=lambda i: math.hypot(scene.rocks[i].x - x, scene.rocks[i].y - y)
+            )
+            flanks = [(scene.rocks[index].flank, 1.0) for index in order]
+            rows[: len(order)] = np.column_stack([self.to_base(marks[::5][order]), flanks])
         return rows
 
     def to_base(self, points: Array) -> Array:
@@ -112,7 +110,7 @@ class Observer:
         skeleton: Array,
         action: Array,
         phase: Array,
-    ) -> NDArray[np.float32]:
+    ) -> Floats:
         """Return the flat observation (SIZE,), float32, every entry clipped to ``BOUND``."""
         out = self._template.copy()
         points = self.to_base(np.concatenate([robot.ends, targets, entries, body.centre[None], skeleton]))

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue.arrays import Array
-from lunar_rescue.physics.bodies import RigidBody
 from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.scenes.postures import Posture
 from lunar_rescue.scenes.scene import Scene
@@ -45,7 +44,7 @@ class Astronaut:
         heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
         self._simulation = simulation
-        self._body: RigidBody = simulation.add_suit(scene.model.limbs, scene.mass)
+        self._body = simulation.add_suit(scene.model.limbs, scene.mass)
         self.handle = self._body.handle
         simulation.place(self.handle, centre, _turned(0.5 * scene.astronaut_yaw, fixed.quaternion))
         self.start = AstronautState(centre, heading @ fixed.rotation, np.zeros(3), np.zeros(3))

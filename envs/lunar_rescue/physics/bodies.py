@@ -136,8 +136,7 @@ class Bodies(Client):
         self._episodes += 1
 
     def _set_friction(self, handle: int, link: int = -1) -> None:
-        # Bullet multiplies the two surfaces' coefficients: the square root makes the product the wanted one. Regolith
-        # does not bounce.
+        # Bullet multiplies the two surfaces' coefficients, so each has the wanted one's root. Regolith does not bounce.
         self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=0.0)
 
 

@@ -80,17 +80,13 @@ class ArmChain:
         shoulder, from_waist = self._from_shoulder, self._from_shoulder + self._shoulder
         arms = np.stack([shoulder, shoulder, shoulder, self._from_elbow, self._to_end, from_waist], axis=2)
         (ax, ay, az), (rx, ry, rz) = axes.transpose(1, 0, 2), arms.transpose(1, 0, 2)
-        dx, dy = self.direction[:, :1], self.direction[:, 1:2]
-        nx, nz = self.normal[:, :1], self.normal[:, 2:]
+        dx, dy, nx, nz = self.direction[:, :1], self.direction[:, 1:2], self.normal[:, :1], self.normal[:, 2:]
         rows = [ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx, ax * dy - ay * dx, az * nx - ax * nz]
         return np.stack(rows, axis=1)
 
 
 def normal_y(joints: Floats) -> Floats:
-    """Return the y of the plates' normals (...,) for joints (..., 5), in their precision: 0 where level across.
-
-    It is that of ``ArmChain.normal``, on which the waist has no influence.
-    """
+    """Return the y of ``ArmChain.normal``, which no waist changes, (...,) for joints (..., 5): 0 if level across."""
     s, c = np.sin(joints), np.cos(joints)
     along = c[..., 3] * s[..., 2] * c[..., 1] - s[..., 3] * s[..., 1]
     across: Floats = c[..., 4] * along + s[..., 4] * c[..., 2] * c[..., 1]

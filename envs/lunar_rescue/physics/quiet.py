@@ -30,8 +30,7 @@ def no_greeting() -> Iterator[None]:
 @contextmanager
 def _to_nowhere(descriptor: int) -> Iterator[None]:
     """Redirect one file descriptor; ``OSError`` where it is closed."""
-    original = os.dup(descriptor)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    original, nowhere = os.dup(descriptor), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, descriptor)
         yield

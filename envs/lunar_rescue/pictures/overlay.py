@@ -18,7 +18,6 @@ Colour = tuple[int, int, int]
 ARM_COLOURS: tuple[Colour, Colour] = ((90, 170, 255), (255, 160, 60))  # arm A, arm B
 SUBGOAL_COLOUR: Colour = (110, 235, 120)
 MARK_COLOUR: Colour = (235, 235, 235)
-TEXT_COLOUR: Colour = (240, 240, 240)
 #: Colour of a distance to a mark point: red when touching, yellow on the way, faint when far [m].
 NEAR_STOPS: tuple[float, ...] = (0.10, 0.25, 0.50)
 NEAR_COLOURS: tuple[Colour, ...] = ((255, 60, 50), (255, 215, 70), (150, 170, 150))
@@ -34,10 +33,7 @@ class Link(NamedTuple):
 
 
 def nearest_links(points: Array, marks: Array) -> list[Link]:
-    """Return for each rock the joint or end of points (12, 3) [m] and the mark of its five that are nearest.
-
-    The marks of all rocks are (5 n, 3) [m].
-    """
+    """Return for each rock the joint or end (12, 3) [m] and the one of its five marks (5 n, 3) [m] that are nearest."""
     links = []
     for rock in marks.reshape(-1, 5, 3):
         distances = np.linalg.norm(points[:, None] - rock[None], axis=-1)
@@ -68,9 +64,8 @@ def draw_overlay(
     _draw_rocks(pen, episode)
     _draw_targets(pen, episode)
     if subgoals is not None and np.isfinite(subgoals).all():
-        for end, place, colour in zip(
-            episode.robot.ends, subgoals_in_scene(episode, subgoals), ARM_COLOURS, strict=True
-        ):
+        places = subgoals_in_scene(episode, subgoals)
+        for end, place, colour in zip(episode.robot.ends, places, ARM_COLOURS, strict=True):
             pen.line(end, place, SUBGOAL_COLOUR, 150)
             pen.diamond(place, SUBGOAL_COLOUR, colour)
     _draw_caption(pen, caption(episode, note))
@@ -165,4 +160,4 @@ def _draw_caption(pen: _Pen, lines: list[str]) -> None:
     pen.draw.rectangle((0, top, width, height), (0, 0, 0, 170))
     for index, line in enumerate(lines):
         place = (8 * pen.width, top + 2 * pen.width + index * step)
-        pen.draw.text(place, line, TEXT_COLOUR, font=pen.font)
+        pen.draw.text(place, line, (240, 240, 240), font=pen.font)

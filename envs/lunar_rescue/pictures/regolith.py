@@ -3,9 +3,8 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lunar_rescue.arrays import Floats
+from lunar_rescue.arrays import Array, Floats
 
 CELLS = 512
 TILE = 2.4  # m, side of the tile
@@ -21,19 +20,14 @@ def tile() -> tuple[Floats, Floats]:
     fx, fy = np.meshgrid(*[np.fft.fftfreq(CELLS, 1 / CELLS)] * 2)
     frequency = np.hypot(fx, fy).clip(1.0)
     noise = np.fft.fft2(rng.standard_normal((CELLS, CELLS)))
-    dust = _unit(np.fft.ifft2(noise * frequency**-0.8).real)
-    height = 0.006 * _unit(np.fft.ifft2(noise * frequency**-1.9).real) + _craters(rng)
-    step = TILE / CELLS
-    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * step) for axis in (1, 0)]
+    fields = [np.fft.ifft2(noise * frequency**power).real for power in (-0.8, -1.9)]
+    dust, swell = ((field - field.mean()) / field.std() for field in fields)
+    height = 0.006 * swell + _craters(rng)
+    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * TILE / CELLS) for axis in (1, 0)]
     return (1.0 + 0.09 * dust).astype(np.float32), (RELIEF * np.stack(slopes, -1)).astype(np.float32)
 
 
-def _unit(field: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale a field to mean 0 and spread 1."""
-    return (field - field.mean()) / field.std()
-
-
-def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
+def _craters(rng: np.random.Generator) -> Array:
     """Return heights [m] of small bowls with rims."""
     line = np.arange(CELLS) * TILE / CELLS
     height = np.zeros((CELLS, CELLS))
@@ -46,10 +40,7 @@ def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def surface(x: Floats, y: Floats, away: Floats) -> tuple[Floats, Floats]:
-    """Return brightness (n,) and slopes (n, 2) of the ground at places x, y [m], fading with the distance ``away`` [m].
-
-    Beyond some metres from the camera a grain is smaller than a pixel.
-    """
+    """Return brightness (n,) and slopes (n, 2) at x, y, fading with the distance ``away`` from the camera, all [m]."""
     brightness, slopes = tile()
     cell = (np.floor(y / TILE * CELLS).astype(int) % CELLS, np.floor(x / TILE * CELLS).astype(int) % CELLS)
     # A second, larger lookup hides that the tile repeats.

@@ -43,10 +43,7 @@ class Studio:
     """Takes pictures of episodes; keeps the stage of the last scene."""
 
     def __init__(self, fine: int = 2) -> None:
-        """Prepare an empty stage.
-
-        The renderer works with ``fine`` times the pixels each way, which smooths edges; 1 is fastest.
-        """
+        """Prepare an empty stage; the renderer works with ``fine`` times the pixels each way, which smooths edges."""
         self._fine = fine
         self._set, self._bare = StageSet(Stage()), Stage()  # the bodies, and the ground without them
         self._ground: _Ground | None = None
@@ -66,7 +63,9 @@ class Studio:
         ground, light = self._ground, self._light(self._ground)
         image = ground.colour * (ground.sunlight * light.ravel()[ground.cell] + AMBIENT + FILL)[..., None]
         self._draw_bodies(image, ground)
-        return _finish(image, self._fine)
+        fine = self._fine
+        small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
+        return np.asarray(255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)  # as screens expect it
 
     def _fine_camera(self, camera: Camera) -> Camera:
         return replace(camera, size=(camera.size[0] * self._fine, camera.size[1] * self._fine))
@@ -88,16 +87,9 @@ class Studio:
         cosine = (normals @ sun.towards).clip(0.0).astype(np.float32).reshape(away.shape)
         colour = brightness[:, None] * np.array(regolith.GREY, np.float32) ** GAMMA
         colour[seen.ravel() < 0] = 0.0
-        where, _ = _cells(sun, points)
-        return _Ground(
-            camera,
-            sun,
-            rays,
-            colour.reshape(*away.shape, 3).astype(np.float32),
-            SUNLIGHT * cosine,
-            where.reshape(away.shape),
-            sun.depth_in_metres(sun_depth),
-        )
+        colour = colour.reshape(*away.shape, 3).astype(np.float32)
+        cell, ground_depth = _cells(sun, points)[0].reshape(away.shape), sun.depth_in_metres(sun_depth)
+        return _Ground(camera, sun, rays, colour, SUNLIGHT * cosine, cell, ground_depth)
 
     def _light(self, ground: _Ground) -> Floats:
         """Return the share of sun on the ground in each cell of the shadow map; keep the map of the bodies."""
@@ -167,9 +159,3 @@ def _slopes(scene: Scene, places: NDArray[Any], middle: tuple[float, ...], step:
     along = (scene.terrain.height(x + step, y) - scene.terrain.height(x - step, y)) / (2 * step)
     across = (scene.terrain.height(x, y + step) - scene.terrain.height(x, y - step)) / (2 * step)
     return np.column_stack([along, across]) * near
-
-
-def _finish(image: Floats, fine: int) -> Picture:
-    """Average the fine pixels and encode brightness as screens expect it."""
-    small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
-    return np.asarray(255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)

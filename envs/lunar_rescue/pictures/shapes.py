@@ -95,8 +95,7 @@ def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
     shapes: dict[Colour, list[Mesh]] = {}
     for part in suit_parts(limbs):
         turn = Rotation.from_quat(part.quaternion)
-        own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
-        for mesh, colour in [(_mesh(part), own), *_details(part)]:
+        for mesh, colour in _pieces(part):
             placed = Mesh(turn.apply(mesh.vertices) + part.position, turn.apply(mesh.normals), mesh.faces)
             shapes.setdefault(colour, []).append(placed)
     return {colour: _joined(meshes) for colour, meshes in shapes.items()}
@@ -109,21 +108,17 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(moved))
 
 
-def _mesh(part: Part) -> Mesh:
+def _pieces(part: Part) -> list[tuple[Mesh, Colour]]:
+    """Return a part and its visor, glove or coloured band, which sits a hair's breadth outside of it."""
+    own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
     if part.kind == "box":
-        return rounded(part.size, ROUNDNESS)
-    return rounded((part.size[0],) * 3, stretch=part.size[1] if part.kind == "capsule" else 0.0)
-
-
-def _details(part: Part) -> list[tuple[Mesh, Colour]]:
-    """Return visor, gloves or coloured bands, a hair's breadth outside the part that they sit on."""
+        return [(rounded(part.size, ROUNDNESS), own)]
+    radius, length = part.size if part.kind == "capsule" else (*part.size, 0.0)
+    pieces = [(rounded((radius,) * 3, stretch=length), own)]
     if part.name == "helmet":
-        radius = part.size[0]
-        return [(rounded((0.75 * radius, 0.8 * radius, 0.66 * radius), by=(0.36 * radius, 0.0, 0.0)), VISOR)]
-    if part.name.endswith("forearm"):
-        radius, length = part.size
-        return [(rounded((1.06 * radius,) * 3, stretch=0.06, by=(0.0, 0.0, length / 2 - 0.01)), DARK)]
-    if part.name.endswith(("upper_arm", "thigh")):
-        radius = 1.05 * part.size[0]
-        return [(rounded((radius, radius, 0.008), stretch=0.05), TRIM)]
-    return []
+        pieces.append((rounded((0.75 * radius, 0.8 * radius, 0.66 * radius), by=(0.36 * radius, 0.0, 0.0)), VISOR))
+    elif part.name.endswith("forearm"):
+        pieces.append((rounded((1.06 * radius,) * 3, stretch=0.06, by=(0.0, 0.0, length / 2 - 0.01)), DARK))
+    elif part.name.endswith(("upper_arm", "thigh")):
+        pieces.append((rounded((1.05 * radius, 1.05 * radius, 0.008), stretch=0.05), TRIM))
+    return pieces

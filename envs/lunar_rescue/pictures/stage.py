@@ -28,8 +28,7 @@ class VisualShape(NamedTuple):
 
     link: int  # its index, -1 for the base
     kind: str  # sphere, box, cylinder, capsule or mesh
-    # extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m]
-    size: tuple[float, float, float]
+    size: tuple[float, float, float]  # of a box; length, radius of a cylinder or capsule; radius of a sphere [m]
     position: tuple[float, float, float]  # in the link's frame [m]
     quaternion: tuple[float, float, float, float]  # in the link's frame, x y z w
     colour: tuple[float, float, float]  # red, green, blue from 0 to 1

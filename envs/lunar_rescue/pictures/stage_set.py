@@ -46,10 +46,7 @@ class StageSet:
         self._folder.cleanup()
 
     def show(self, episode: Episode, colour: shapes.Colour | None = None) -> bool:
-        """Put everything where it is in the episode; return whether the scene is a new one.
-
-        With one ``colour`` for all, the true ones are in ``colours``.
-        """
+        """Put everything where it is, in its own colours or all in one; return whether the scene is new."""
         new = episode.scene is not self._scene
         if new:
             self._build(episode.scene, colour)

@@ -46,8 +46,7 @@ def from_json(cls: type[T], text: str | bytes, where: str) -> T:
         ValueError: In one line: where (such as ``"Scene."`` or a file's name), field, what was expected and what came.
     """
     try:
-        record: T = cls.__pydantic_validator__.validate_json(text)  # type: ignore[attr-defined]
-        return record
+        return cast(T, cls.__pydantic_validator__.validate_json(text))  # type: ignore[attr-defined]
     except ValidationError as error:
         raise ValueError(_explain(error, where)) from None
 

@@ -70,9 +70,7 @@ class Rock:
 
 def rock_marks(rocks: Sequence[Rock]) -> Array:
     """Return the mark points that AAPF and observation use, each rock's top and four round its flank, (5 n, 3) [m]."""
-    if not rocks:
-        return np.zeros((0, 3))
-    rows = []
+    rows: list[tuple[float, float, float]] = []
     for rock in rocks:
         c, s = math.cos(rock.yaw), math.sin(rock.yaw)
         x, y, z = _top(rock.shape)
@@ -82,7 +80,7 @@ def rock_marks(rocks: Sequence[Rock]) -> Array:
         rows.append((rock.x + c * x - s * y, rock.y + s * x + c * y, top))
         rows += [(rock.x + a, rock.y + b, low), (rock.x - b, rock.y + a, low)]
         rows += [(rock.x - a, rock.y - b, low), (rock.x + b, rock.y - a, low)]
-    return np.array(rows)
+    return np.array(rows).reshape(-1, 3)
 
 
 @lru_cache(maxsize=1024)

@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
 
-HIP_Z = -0.30  # m, hip joints below the middle of the torso
 SHOULDER = (0.0, 0.27, 0.20)  # m, left shoulder joint; the right one mirrors y
-HIP = (0.0, 0.11, HIP_Z)  # m, left hip joint
+HIP = (0.0, 0.11, -0.30)  # m, left hip joint
 UPPER_ARM, FOREARM = 0.28, 0.32  # m, joint to joint; the forearm includes the glove
 THIGH, SHIN = 0.42, 0.40  # m, joint to joint
 SPACING = 0.02  # m, between the points of ``surface_points``
@@ -105,7 +104,7 @@ def suit_parts(limbs: Limbs) -> tuple[Part, ...]:
     identity = (0.0, 0.0, 0.0, 1.0)
     parts = [Part(n, "box", s, c, identity, f) for n, s, c, f in _TRUNK]
     parts.append(Part("helmet", "sphere", (0.17,), (0.02, 0.0, 0.45), identity, 0.06))
-    parts.append(_capsule("hips", np.array([0, -0.08, HIP_Z]), np.array([0, 0.08, HIP_Z]), 0.14, 0.07))
+    parts.append(_capsule("hips", np.array([0, -0.08, HIP[2]]), np.array([0, 0.08, HIP[2]]), 0.14, 0.07))
     for side, name in ((1, "left"), (-1, "right")):
         parts += [*_arm(limbs, side, name), *_leg(limbs, side, name)]
     return tuple(parts)
