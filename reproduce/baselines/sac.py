@@ -8,6 +8,7 @@ step of all environments together.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
@@ -26,20 +28,48 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.config import SacConfig, SacTrainingConfig
-from reproduce.learning.config import PolicyConfig
+from lunar_rescue.scenes.records import checked
+from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
 from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.networks import flat_spaces
+from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
 from reproduce.learning.sequence_ppo import check_losses
-from reproduce.learning.standardiser import Standardiser, observe_all
 from reproduce.learning.training import Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.policies import Spec, load_networks, load_policy_config
+from reproduce.storage.records import Units
 
 LEVEL = "actor"  # name of the one learner, in checkpoints and run folders
 EACH_STEP = TrainFreq(1, TrainFrequencyUnit.STEP)
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@checked
+@dataclass(frozen=True)
+class SacConfig:
+    """What only SAC has; SB3's defaults where nothing is said."""
+
+    buffer_size: PositiveInt = 50_000  # Transitions in the replay buffer; ML-Agents' default and the paper's
+    batch_size: PositiveInt = 256  # Transitions in a gradient step
+    train_every: PositiveInt = 2  # Steps of all environments between learning: what fits into the hour of every method
+    gradient_steps: PositiveInt = 1  # Gradient steps each time; SB3's default
+    learning_starts: NonNegativeInt = 10_000  # Environment steps before the first gradient step
+    learning_rate: PositiveFloat = 3.0e-4  # Learning rate of actor, critics and entropy weight
+    tau: Share = 0.005  # Share of the critics that goes into the target critics after each gradient step
+    # Units of each of the two layers of actor and critics; paper, section 4.1. SB3's 256 take twice the time
+    hidden_units: Units = 128
+    gamma: Share = 0.99  # Discount; paper, section 4.1
+    first_ent_coef: PositiveFloat = 1.0  # Entropy weight at the beginning; it is learnt (SB3's "auto" begins with 1)
+    # Steps of each environment between rows of `progress.csv`, at which observations are standardised anew
+    n_steps: PositiveInt = 128
+
+
+@checked
+@dataclass(frozen=True)
+class SacTrainingConfig(TrainingConfig):
+    """A training of SAC, which is flat: one learner."""
+
+    sac: SacConfig = field(default_factory=SacConfig)  # What only SAC has
 
 
 class StandardisedExtractor(BaseFeaturesExtractor):

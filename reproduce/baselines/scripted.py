@@ -1,6 +1,6 @@
-"""`scripted`: inverse kinematics and a few way-points, what a roboticist would try first; it learns nothing.
+"""`random`, and `scripted`: inverse kinematics and way-points, what a roboticist would try first; neither learns.
 
-It sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over. It knows
+The script sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over. It knows
 nothing of rocks, so it also tells how hard the problem is without looking at them. Its way-points are data, in
 ``planner/data/script.json``.
 """
@@ -8,6 +8,7 @@ nothing of rocks, so it also tells how hard the problem is without looking at th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,22 @@ class _Progress:
             self.joints = _solve(self.points[self.index], self.targets, self.joints)
         self.left -= 1
         return _to_action(self.joints)
+
+
+class RandomPolicy(Policy):
+    """Uniform actions in [-1, 1], the same for the same seed and order of calls."""
+
+    def __init__(self, seed: Any = 0) -> None:
+        """Seed the generator; anything but an integer counts as 0."""
+        self.reseed(seed if isinstance(seed, int) else 0)
+
+    def reseed(self, seed: int) -> None:
+        """Start a scene's own sequence of actions, so that the order of tests does not matter."""
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """Draw actions (n, 11) without a look at the observations; see ``Policy.act``."""
+        return self._rng.uniform(-1.0, 1.0, (len(observations), JOINTS)).astype(np.float32)
 
 
 class ScriptedPolicy(Policy):

@@ -83,7 +83,7 @@ class StockTraining:
         self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
         goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
-        high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
+        high_env = OnlySpaces(config.n_envs, venv.observation_space, flat_spaces(1, goals.outputs)[1])
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
         self.env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
         self.lln: Any = make(self.env, config.low, bounded_mean=False)

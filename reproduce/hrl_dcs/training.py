@@ -33,7 +33,7 @@ class TwoLayerTraining(RecurrentTraining):
             seed: Of networks and minibatches.
         """
         self.goals = goals
-        high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
+        high_env = OnlySpaces(config.n_envs, venv.observation_space, flat_spaces(1, goals.outputs)[1])
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
         env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
         self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)

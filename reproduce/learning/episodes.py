@@ -14,15 +14,11 @@ from reproduce.learning.workers import RETURN
 
 
 class EpisodeLog(VecEnvWrapper):
-    """Turns a network's outputs into Eq. 3's actions and adds up the rewards of each episode.
-
-    Attributes:
-        episodes: Outcome, returns and steps of the episodes that ended; whoever reads the list empties it.
-    """
+    """Turns a network's outputs into Eq. 3's actions and adds up the rewards of each episode."""
 
     def __init__(self, venv: Any, **spaces: Any) -> None:
         super().__init__(venv, **spaces)
-        self.episodes: list[dict[str, Any]] = []
+        self.episodes: list[dict[str, Any]] = []  # outcome, returns and steps; whoever reads the list empties it
         self._totals = np.zeros((self.num_envs, 3))  # EXR, INR, steps
 
     def reset(self) -> Any:

@@ -19,14 +19,9 @@ class Policy(Protocol):
     """Acts on flat observations of several environments at once and keeps its own memory of each."""
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """Choose actions.
+        """Choose actions (n, 11) in [-1, 1] for flat observations (n, SIZE).
 
-        Args:
-            observations: Flat observations (n, SIZE).
-            starts: Which environments begin an episode with this observation (n,); in the first call all do.
-
-        Returns:
-            Actions (n, 11) in [-1, 1].
+        ``starts`` (n,) says which environments begin an episode with this observation; in the first call all do.
         """
 
     def overlay(self) -> dict[str, NDArray[Any]]:

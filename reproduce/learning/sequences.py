@@ -91,18 +91,9 @@ def advantages_and_returns(
 ) -> tuple[Floats, Floats]:
     """Estimate advantages and returns by generalised advantage estimation (Schulman et al. 2016, Eq. 16).
 
-    Time comes first; further axes, such as environments, are independent of each other. Sums are in double precision.
-
-    Args:
-        rewards: r_t, (t, ...).
-        values: V(s_t), (t, ...).
-        last_values: V of the state after the last step, (...); ignored where the last step ended an episode.
-        ends: Whether nothing that comes after the step counts, as its episode ended with it, (t, ...).
-        gamma: Discount.
-        lam: GAE's lambda.
-
-    Returns:
-        Advantages and returns (advantage plus value), (t, ...) each.
+    All are (t, ...): time comes first, further axes, such as environments, are independent of each other. ``ends`` says
+    after which steps nothing counts any more, as the episode ended; ``last_values`` (...) are of the state after the
+    last step, where it did not end one. Returns are advantage plus value. Sums are in double precision.
     """
     going_on = 1.0 - ends
     following = np.concatenate([values[1:], np.asarray(last_values)[None]])

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -36,21 +35,8 @@ def _weight(posture: Posture, lying_weight: int) -> int:
     return 1 if posture.attitude.endswith("side") else lying_weight
 
 
-def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """Return what SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
-    first, last = config.learning_rate, config.final_learning_rate
-    names = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
-    same = {name: getattr(config, name) for name in names}
-    return {"learning_rate": lambda left: last + left * (first - last), "device": "cpu", **same}
-
-
-def own_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """Return what only ``SequencePPO`` and its subclasses take of it."""
-    return {
-        "sequence_length": config.sequence_length,
-        "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
-        "desired_kl": (config.desired_kl, config.final_desired_kl),
-    }
+#: What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration as it is.
+_SAME = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
 
 
 def make_learner(
@@ -64,9 +50,14 @@ def make_learner(
 ) -> Any:
     """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours, takes ``more``, or is the stock one."""
     sizes = {"hidden_units": config.hidden_units, "log_std_init": config.log_std_init}
-    more |= own_arguments(config) if issubclass(kind, SequencePPO) else {}
+    more |= {name: getattr(config, name) for name in _SAME}
+    if issubclass(kind, SequencePPO):
+        more["sequence_length"] = config.sequence_length
+        more["log_std_line"] = (config.log_std_init, config.final_log_std, config.noise_share)
+        more["desired_kl"] = (config.desired_kl, config.final_desired_kl)
     more["policy_kwargs"] = sizes | ({"bounded_mean": True} if bounded_mean else {})
-    learner = kind(network, env, seed=seed, **stock_arguments(config), **more)
+    first, last = config.learning_rate, config.final_learning_rate
+    learner = kind(network, env, lambda left: last + left * (first - last), seed=seed, device="cpu", **more)
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 
@@ -104,28 +95,18 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
 class Training(ABC):
     """A training under way; a subclass makes the learners and says what an update does.
 
-    Attributes:
-        config: The configuration.
-        venv: The environments.
-        env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
-        learners: All learners by level.
-        steps_per_update: Environment steps of one update.
-        logged: What of each learner's log goes into ``progress.csv``.
+    ``env`` is the view of the environments ``venv`` in which one learner collects and that lists ended ``episodes``;
+    ``learners`` holds all learners by level, ``steps_per_update`` the environment steps of an update.
     """
 
-    logged: tuple[str, ...] = ()
+    logged: tuple[str, ...] = ()  # what of each learner's log goes into ``progress.csv``
 
     def __init__(
-        self,
-        config: TrainingConfig,
-        venv: Environments,
-        env: Any,
-        collector: Any,
-        learners: Mapping[str, Any],
-        n_steps: int,
+        self, config: Any, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any], n_steps: int
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
-        self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self.config: TrainingConfig = config
+        self.venv, self.env, self.learners = venv, env, learners
         self.steps_per_update = n_steps * config.n_envs
         self._collector = collector
         self.callback = start_collecting(collector, config.steps)
@@ -178,8 +159,8 @@ class RecurrentTraining(Training):
     def collect(self, done: int) -> None:
         """Take one rollout; ``done`` steps were taken before."""
         self.follow_schedule(done)
-        steps = self.config.low.n_steps
-        self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
+        learner = self._collector
+        learner.collect_rollouts(self.env, self.callback, learner.rollout_buffer, self.config.low.n_steps)
 
     def update(self, done: int) -> dict[str, Any]:
         """Collect a rollout and learn from it; ``done`` steps were taken before."""
@@ -190,9 +171,6 @@ class RecurrentTraining(Training):
 
 class OnlySpaces(ClosedVecEnv):
     """Spaces for a learner whose transitions are collected elsewhere; it is never stepped."""
-
-    def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any], count: int) -> None:
-        super().__init__(count, observation_space, action_space)
 
     def _never(self, *args: Any, **kwargs: Any) -> Any:
         raise RuntimeError("OnlySpaces: this learner's transitions are collected by SubGoalVecEnv")

@@ -46,12 +46,9 @@ class Learner(Protocol):
 class Progress:
     """How far a training is, in counters."""
 
-    update: NonNegativeInt
-    """Updates done."""
-    steps: NonNegativeInt
-    """Environment steps done."""
-    seconds: NonNegativeFloat
-    """Seconds spent training, over all sessions."""
+    update: NonNegativeInt  # Updates done
+    steps: NonNegativeInt  # Environment steps done
+    seconds: NonNegativeFloat  # Seconds spent training, over all sessions
 
 
 def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:

@@ -30,12 +30,9 @@ Record = TypeVar("Record")
 class Spec:
     """All that is needed to build a network; subclasses add what else it is."""
 
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of each layer and of the LSTM, where it has one."""
+    observations: Units  # Size of the flat observation
+    actions: Units  # Size of the action
+    hidden_units: Units  # Units of each layer and of the LSTM, where it has one
 
     def build(self) -> Any:
         """Make a network of these sizes, not trained."""

@@ -24,8 +24,14 @@ from torch.nn import functional
 
 from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.network import FunNetwork
-from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, as_tensor, env_major
-from reproduce.baselines.feudal.signals import directions, intrinsic_rewards
+from reproduce.baselines.feudal.rollout import (
+    FunBuffer,
+    FunRollout,
+    as_tensor,
+    directions,
+    env_major,
+    intrinsic_rewards,
+)  # fmt: skip
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns
 

@@ -60,12 +60,9 @@ class Step:
 class FunSpec(Spec):
     """Sizes, which are all that is needed to build the network."""
 
-    goal_size: Units
-    """d, size of a goal."""
-    embedding_size: Units
-    """k, size of a goal as Worker sees it."""
-    horizon: Horizon
-    """c and r, see ``FunConfig``."""
+    goal_size: Units  # d, size of a goal
+    embedding_size: Units  # k, size of a goal as Worker sees it
+    horizon: Horizon  # c and r, see `FunConfig`
 
     def build(self) -> FunNetwork:
         """Make a network of these sizes, not trained."""
