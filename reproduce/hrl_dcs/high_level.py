@@ -12,35 +12,18 @@ Floats = NDArray[np.float32]
 
 
 class HighLevel:
-    """SGN with its clock, its memory and its sub-goals in several environments.
-
-    Attributes:
-        memory: SGN's LSTM states.
-        subgoals: The present sub-goal of each environment, (n, goals.size).
-    """
+    """SGN with its clock, its memory and its present sub-goals (n, goals.size) in several environments."""
 
     def __init__(self, sgn: RecurrentNetwork, goals: Goals, interval: int, count: int) -> None:
-        """Begin with empty memories.
-
-        Args:
-            sgn: The high level's network.
-            goals: What a sub-goal is in these environments.
-            interval: N, steps between sub-goals.
-            count: Environments.
-        """
+        """Begin with empty memories of ``count`` environments, in which N is ``interval``."""
         self.memory, self.goals, self._interval = Memory(sgn, count), goals, interval
         self.subgoals = np.zeros((count, goals.size), np.float32)
         self._left = np.zeros(count, np.int64)  # steps until the next sub-goal
 
     def advance(self, observations: Floats, starts: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Go on by one step, asking SGN for a sub-goal where one is due.
+        """Go on by one step, asking SGN for a sub-goal where one is due; return in which environments that was.
 
-        Args:
-            observations: Flat observations (n, d).
-            starts: Which environments begin an episode with them (n,).
-
-        Returns:
-            Indices of the environments that got a new sub-goal.
+        ``starts`` (n,) says which environments begin an episode with these observations (n, d).
         """
         self._left -= 1
         self.goals.update(observations, starts)

@@ -32,14 +32,7 @@ class HierarchicalPolicy(MirroredPolicy):
         config: HierarchicalPolicyConfig,
         make_goals: Callable[[int, AnchorConfig], RescueGoals] = RescueGoals,
     ) -> None:
-        """Make a policy that acts in no environment yet.
-
-        Args:
-            sgn: High level, trained.
-            lln: Low level, trained.
-            config: All else that decides how they act.
-            make_goals: What turns SGN's outputs into sub-goals; the ablations have others.
-        """
+        """Make a policy that acts in no environment yet; ablations make other sub-goals of SGN's outputs."""
         super().__init__(config.mirrored)
         self.networks, self.config, self._make_goals = (sgn, lln), config, make_goals
 

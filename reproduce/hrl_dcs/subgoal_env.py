@@ -41,14 +41,11 @@ class Decision:
 
 
 class RecordedHighLevel(HighLevel):
-    """SGN as it is trained: it draws its outputs, and every decision is recorded.
-
-    Attributes:
-        decisions: One list an environment; the last decision of each list is still under way.
-    """
+    """SGN as it is trained: it draws its outputs, and every decision is recorded."""
 
     def begin(self) -> None:
         """Forget what was recorded, as all episodes begin anew."""
+        # One list an environment; the last decision of each is still under way.
         self.decisions: list[list[Decision]] = [[] for _ in self.subgoals]
 
     def command(self, observations: Floats, rows: NDArray[np.int64], starts: NDArray[np.bool_]) -> Floats:
@@ -88,29 +85,17 @@ class RecordedHighLevel(HighLevel):
 
 
 class SubGoalVecEnv(EpisodeLog):
-    """LLN's environment; see the module.
-
-    Attributes:
-        high: SGN, which decides in it.
-        cuts: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
-    """
+    """LLN's environment, with SGN as its part ``high``; see the module."""
 
     def __init__(self, venv: VecEnv, sgn: RecurrentNetwork, goals: Goals, config: HierarchicalConfig) -> None:
-        """Wrap environments.
-
-        Args:
-            venv: The environments, whose observations are flat.
-            sgn: The high level's network.
-            goals: What a sub-goal is in these environments, and how LLN's outputs become their actions.
-            config: The training's configuration.
-        """
+        """Wrap environments with flat observations; ``goals`` also make their actions of LLN's outputs."""
         seen, acts = flat_spaces(goals.view_size, goals.actions)
         super().__init__(venv, observation_space=seen, action_space=acts)
         self._sgn, self._goals, self._config = sgn, goals, config
         count = venv.num_envs
         self.high = RecordedHighLevel(sgn, goals, config.hierarchy.interval, count)
         self._best = np.zeros((count, goals.distance_count), np.float32)
-        self.cuts: list[NDArray[np.bool_]] = []
+        self.cuts: list[NDArray[np.bool_]] = []  # of each step of a rollout, where N steps ended with it (n,)
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""

@@ -35,6 +35,13 @@ def flat_spaces(observations: int, actions: int) -> tuple[spaces.Box, spaces.Box
     return spaces.Box(-np.inf, np.inf, (observations,), np.float32), spaces.Box(-1.0, 1.0, (actions,), np.float32)
 
 
+def flat_box(name: str, space: spaces.Space[Any]) -> spaces.Box:
+    """Return a space that is a Box of one dimension; any other is a ``ValueError`` with its name."""
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
+    return space
+
+
 class Standardiser(nn.Module):
     """Subtracts the mean and divides by the standard deviation of the observations of past rollouts.
 

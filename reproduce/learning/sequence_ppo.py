@@ -49,7 +49,7 @@ class SequencePPO(RecurrentPPO):
 
         The gradient flows back through time over at most ``sequence_length`` steps. The logarithm of the actions'
         standard deviation stays under ``log_std_line``: its beginning, its end, and the share of the training at which
-        it has come down. ``desired_kl`` is the KL of an update at the beginning and at the end, on a line between: where
+        it has come down. ``desired_kl`` is an update's KL at the beginning and at the end, on a line between: where
         positive, ``rate_factor`` falls when an update's KL is over twice this and rises when it is under half.
         """
         if sequence_length < 1:

@@ -159,7 +159,7 @@ class WorkerVecEnv(ClosedVecEnv):
     """
 
     def __init__(self, count: int, seed: int, options: EnvOptions | None = None, workers: int | None = None) -> None:
-        """Start worker processes, one a core unless ``workers`` says how many, and wait until all environments are made.
+        """Start worker processes, one a core unless ``workers`` says how many, and wait until environments are made.
 
         All scenes follow from the run's ``seed``. Raises a ``WorkerError`` when a worker cannot make its environments.
         """

@@ -71,11 +71,7 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
 
 
 def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
-    """Restore learners and random states.
-
-    Raises:
-        UserError: When there is no checkpoint, it is damaged, or it belongs to another configuration.
-    """
+    """Restore learners and random states; ``UserError`` where there is no checkpoint, or not a whole one of this run."""
     path = folder / NAME
     tensors = read_tensors(path, LARGEST)
     meta = _read_meta(path)

@@ -60,9 +60,7 @@ def die_with_parent() -> None:
 def end_with(parent: int, by: int = signal.SIGKILL) -> None:
     """Have the kernel send this process a signal when its parent ends: ``preexec_fn=partial(end_with, os.getpid())``.
 
-    Args:
-        parent: Process that starts this one; it may have ended before it could be watched.
-        by: The signal; one that can be caught leaves time to stop further processes.
+    The parent may have ended before it could be watched. A signal that can be caught leaves time to stop others.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, int(by), 0, 0, 0)
     if os.getppid() != parent:
@@ -99,15 +97,8 @@ def map_in_processes(
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
-    Args:
-        job: Called in a worker; can be pickled.
-        items: What it is called with.
-        workers: Processes; None is one a core.
-        prepare: Called with ``arguments`` in each worker before its first job.
-        arguments: Can be pickled.
-
-    Raises:
-        RunFailedError: When a worker was killed or crashed.
+    There is one worker a core unless ``workers`` says how many; each calls ``prepare(*arguments)`` before its first job.
+    What crosses over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
     """
     start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())

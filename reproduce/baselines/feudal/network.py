@@ -18,7 +18,7 @@ from torch.nn import functional
 from lunar_rescue.scenes.records import checked
 from reproduce.baselines.feudal.config import Horizon
 from reproduce.baselines.feudal.levels import Manager, Worker
-from reproduce.learning.networks import StateEncoder, flat_spaces
+from reproduce.learning.networks import StateEncoder, flat_box, flat_spaces
 from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
 
@@ -80,10 +80,7 @@ class FunNetwork(BasePolicy):
         self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
         """Build it for observations (o,) and actions (a,); ``sizes`` are those that ``FunSpec`` has besides."""
-        for name, space in (("observation_space", seen), ("action_space", acts)):
-            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-                raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
-        super().__init__(seen, acts)
+        super().__init__(flat_box("observation_space", seen), flat_box("action_space", acts))
         self.spec = spec = FunSpec(seen.shape[0], acts.shape[0], **sizes)
         self.percept = StateEncoder(seen, spec.hidden_units)
         self.percept.apply(lambda module: self.init_weights(module, gain=float(np.sqrt(2.0))))
