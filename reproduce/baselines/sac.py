@@ -101,13 +101,9 @@ def policy_arguments(hidden_units: int) -> dict[str, Any]:
 
 
 class CheckpointedSAC(SAC):
-    """SB3's SAC, unchanged, with a checkpoint that holds its replay buffer too.
+    """SB3's SAC, unchanged, with a checkpoint that holds its replay buffer too."""
 
-    Attributes:
-        where: Name of the learner and number of the update, for errors; a training sets it.
-    """
-
-    where = "SAC"
+    where = "SAC"  # name of the learner and number of the update, for errors; a training sets it
     replay_buffer: ReplayBuffer
     log_ent_coef: th.Tensor
 
@@ -144,11 +140,7 @@ class CheckpointedSAC(SAC):
         self.collect_rollouts(env, callback, EACH_STEP, self.replay_buffer, learning_starts=0, log_interval=None)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take gradient steps on minibatches of the buffer; see SB3.
-
-        Raises:
-            RunFailedError: When a loss is not finite.
-        """
+        """Take gradient steps on minibatches of the buffer; ``RunFailedError`` at a loss that is not finite."""
         for _ in range(gradient_steps):
             super().train(1, batch_size)
             check_losses(self.where, self.logger.name_to_value)
@@ -156,31 +148,19 @@ class CheckpointedSAC(SAC):
 
 def make_sac(env: Any, config: SacConfig, seed: int) -> CheckpointedSAC:
     """Make the learner for SB3's environments."""
+    same: Any = {name: getattr(config, name) for name in ("learning_rate", "buffer_size", "batch_size", "tau", "gamma")}
+    same["policy_kwargs"] = policy_arguments(config.hidden_units)
     learner = CheckpointedSAC(
-        "MlpPolicy",
-        env,
-        learning_rate=config.learning_rate,
-        buffer_size=config.buffer_size,
-        batch_size=config.batch_size,
-        tau=config.tau,
-        gamma=config.gamma,
-        ent_coef=f"auto_{config.first_ent_coef}",
-        policy_kwargs=policy_arguments(config.hidden_units),
-        seed=seed,
-        device="cpu",
+        "MlpPolicy", env, ent_coef=f"auto_{config.first_ent_coef}", seed=seed, device="cpu", **same
     )
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 
 
 class BusyEpisodeLog(EpisodeLog):
-    """Lets the learner learn while the workers step; what they step to is in the replay buffer only afterwards.
+    """Lets the learner learn while the workers step; what they step to is in the replay buffer only afterwards."""
 
-    Attributes:
-        meanwhile: What is called in each step before the workers are waited for.
-    """
-
-    meanwhile: Callable[[], None] | None = None
+    meanwhile: Callable[[], None] | None = None  # called in each step before the workers are waited for
 
     def step_wait(self) -> VecEnvStepReturn:
         """Learn first, then wait for the environments."""

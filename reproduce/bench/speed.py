@@ -79,15 +79,9 @@ Round = dict[str, Tally]
 
 
 def measure(part: str = "all", rounds: int = ROUNDS, steps: int = STEPS) -> dict[str, Any]:
-    """Return the figures of ``bench --json``, flat.
+    """Return the figures of ``bench --json``, flat, of a part of ``PARTS`` or of ``"all"``.
 
-    Args:
-        part: A name of ``PARTS``, or ``"all"``.
-        rounds: Rounds of the environment part that count.
-        steps: Least number of steps of a kind in a round.
-
-    Raises:
-        UserError: On an unknown part.
+    The environment part has so many rounds that count, with at least so many steps of each kind of ground.
     """
     if part != "all" and part not in PARTS:
         raise UserError(f"--part: expected one of {', '.join([*PARTS, 'all'])}; got {part!r}")
@@ -132,17 +126,13 @@ def run_round(ours: Episodes, peer: Episodes | None, kinds: Iterable[str], steps
 
 
 class Episodes:
-    """Episodes of random actions in one environment, timed from outside.
-
-    Attributes:
-        inside: Time that this environment's physics took since the last reset [s].
-    """
+    """Episodes of random actions in one environment, timed from outside."""
 
     def __init__(
         self, reset: Callable[[], Any], step: Callable[[Any], Any], sample: Callable[[], Any], hold: int, longest: int
     ) -> None:
         self._reset, self._step, self._sample, self._hold, self._longest = reset, step, sample, hold, longest
-        self.inside = 0.0
+        self.inside = 0.0  # time that this environment's physics took since the last reset [s]
 
     def next(self, tally_of: Callable[[dict[str, Any]], Tally | None]) -> None:
         """Run an episode into the tally that its reset's info asks for, or none.
@@ -228,9 +218,8 @@ def environment_figures(rounds: list[Round]) -> dict[str, Any]:
     if not peers:
         return {**figures, "peer_published_steps_per_s": PEER_PUBLISHED}
     figures |= {"peer": PEER, **_figures("peer", "", peers)}
-    return (
-        figures | _ratios("env_over_peer", rounds, "smooth", PEER) | _ratios("rough_over_peer", rounds, "rough", PEER)
-    )
+    figures |= _ratios("env_over_peer", rounds, "smooth", PEER)
+    return figures | _ratios("rough_over_peer", rounds, "rough", PEER)
 
 
 def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
 
 
 def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
-    """Restore learners and random states; ``UserError`` where there is no checkpoint, or not a whole one of this run."""
+    """Restore learners and random states; ``UserError`` without a whole checkpoint of this configuration."""
     path = folder / NAME
     tensors = read_tensors(path, LARGEST)
     meta = _read_meta(path)

@@ -149,7 +149,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def read_json(path: Path, what: str) -> Any:
-    """Read JSON; ``UserError`` names the file, ``what`` it holds, and the fault: missing, too large, too deep, no JSON."""
+    """Read JSON; ``UserError`` names the file, ``what`` it holds and the fault: missing, too large or deep, no JSON."""
     try:
         if path.stat().st_size > LARGEST_JSON:
             raise UserError(f"{path}: {what}: larger than {LARGEST_JSON} bytes")

@@ -97,8 +97,8 @@ def map_in_processes(
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
-    There is one worker a core unless ``workers`` says how many; each calls ``prepare(*arguments)`` before its first job.
-    What crosses over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
+    There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
+    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
     """
     start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())

@@ -93,29 +93,24 @@ class FunNetwork(BasePolicy):
     def empty_memory(self, count: int) -> Memory:
         """Return the memory of ``count`` environments that begin an episode."""
         c, d = self.spec.horizon, self.spec.goal_size
-        return Memory(
-            th.zeros(count, dtype=th.int64),
-            th.zeros(count, 2, c, d),
-            th.zeros(count, 2, self.spec.hidden_units),
-            th.zeros(count, c, d),
-        )
+        clock, worker = th.zeros(count, dtype=th.int64), th.zeros(count, 2, self.spec.hidden_units)
+        return Memory(clock, th.zeros(count, 2, c, d), worker, th.zeros(count, c, d))
 
     @th.no_grad()
     def step(
         self, observations: th.Tensor, memory: Memory, deterministic: bool = False, random_goals: float = 0.0
     ) -> Step:
-        """Act once in n environments.
+        """Act once on observations (n, o), by the mean if ``deterministic``; ``random_goals`` is epsilon.
 
-        Args:
-            observations: (n, o).
-            memory: Changed in place; forget episodes that ended first.
-            deterministic: Whether to act by the mean.
-            random_goals: epsilon, the probability of a random goal.
+        The memory is changed in place; forget episodes that ended first.
         """
         z = self.percept(observations)
         raw = self.manager.core.step(self.manager.space(z), memory.manager, memory.clock)
         own = functional.normalize(raw, dim=-1)
-        goals = self._with_random(own, random_goals) if random_goals > 0.0 else own
+        goals = own
+        if random_goals > 0.0:  # a goal's norm stays 1
+            random = functional.normalize(th.randn_like(own), dim=-1)
+            goals = th.where(th.rand(len(own), 1) < random_goals, random, own)
         memory.goals[th.arange(len(goals)), memory.clock % self.spec.horizon] = goals
         pooled = memory.goals.sum(1)
         before = memory.worker
@@ -135,12 +130,6 @@ class FunNetwork(BasePolicy):
             manager_values=self.manager.value(observations, raw),
         )
 
-    @staticmethod
-    def _with_random(goals: th.Tensor, share: float) -> th.Tensor:
-        """Put random directions in the place of a share of the goals; a goal's norm stays 1."""
-        random = functional.normalize(th.randn_like(goals), dim=-1)
-        return th.where(th.rand(len(goals), 1) < share, random, goals)
-
     def distribution(self, mean: th.Tensor) -> Normal:
         """Return the distribution of actions around their mean (n, a), each dimension by itself."""
         return Normal(mean, self.log_std.exp().expand_as(mean))
@@ -154,13 +143,9 @@ class FunNetwork(BasePolicy):
     def set_goals(
         self, observations: th.Tensor, state: th.Tensor, clock: th.Tensor, mask: th.Tensor
     ) -> tuple[th.Tensor, th.Tensor]:
-        """Return Manager's goals (m, d) and values (m,) at the m real steps of sequences.
+        """Return Manager's goals (m, d) and values (m,) at the m real steps, by ``mask`` (l, n), of sequences (l, n, o).
 
-        Args:
-            observations: (l, n, o).
-            state: State of the dilated LSTM before each sequence, (n, 2, r, d).
-            clock: Steps since the episode began, where each sequence begins, (n,).
-            mask: Which of (l, n) are real.
+        Before each, the dilated LSTM is in ``state`` (n, 2, r, d), ``clock`` (n,) steps after the episode's beginning.
         """
         raw = self.manager.core(self.states(observations), state, clock)[mask]
         return functional.normalize(raw, dim=-1), self.manager.value(observations[mask], raw)
@@ -168,13 +153,9 @@ class FunNetwork(BasePolicy):
     def act_towards(
         self, observations: th.Tensor, state: tuple[th.Tensor, th.Tensor], mask: th.Tensor, pooled: th.Tensor
     ) -> tuple[Normal, th.Tensor]:
-        """Return Worker's distribution of actions and values (m,) at the m real steps of sequences.
+        """Return Worker's distribution of actions and values (m,) at the m real steps, by ``mask``, of sequences.
 
-        Args:
-            observations: (l, n, o).
-            state: Hidden and cell state of Worker's LSTM before each sequence, each (1, n, h).
-            mask: Which of (l, n) are real.
-            pooled: Sum of the last c goals at the real steps, (m, d).
+        Worker's LSTM begins in ``state``, each (1, n, h); ``pooled`` (m, d) sums the last c goals at the real steps.
         """
         memory = self.worker.core(self.percept(observations), state)[0][mask]
         mean = self.worker.mean(memory, pooled)

@@ -19,12 +19,9 @@ from reproduce.learning.sequences import Floats, Rollout, sequence_bounds
 
 
 class FunBuffer(RolloutBuffer):
-    """SB3's buffer for Worker's transitions, and beside it what Manager did at the same steps.
+    """SB3's buffer for Worker's transitions, and beside it what Manager did at the same steps."""
 
-    Attributes:
-        last_observations: Step, environments (k,) and observations (k, o) with which episodes ended.
-    """
-
+    #: Step, environments (k,) and observations (k, o) with which episodes ended.
     last_observations: list[tuple[int, NDArray[np.int64], th.Tensor]]
 
     def __init__(self, *args: Any, spec: FunSpec, sequence_length: int, **kwargs: Any) -> None:
@@ -64,8 +61,7 @@ class FunBuffer(RolloutBuffer):
     def sequences(self) -> tuple[NDArray[np.int64], th.Tensor]:
         """Cut sequences where episodes begin and where Manager's state was stored.
 
-        Returns:
-            Their bounds (s, 2) in increasing order, and the state of the dilated LSTM before each (s, 2, r, d).
+        Returns bounds (s, 2) in increasing order, and the state of the dilated LSTM before each (s, 2, r, d).
         """
         steps, every = self.buffer_size, self.sequence_length
         cuts = self.episode_starts.astype(bool) | (np.arange(steps) % every == 0)[:, None]
@@ -113,17 +109,10 @@ def intrinsic_rewards(
 ) -> th.Tensor:
     """Return Eq. 8: r^I = 1/c sum_{i=1..c} cos(s_t - s_{t-i}, g_{t-i}), of the steps that led to s_t.
 
-    Terms that would reach back before the episode are left out of the sum, which is divided by c all the same.
-
-    Args:
-        states: s of the c - 1 steps before the rollout and of its t steps, (c - 1 + t, n, d).
-        following: The state that each step of the rollout led to, an episode's last one included, (t, n, d).
-        goals: The goals that were sent to Worker at ``states``, (c - 1 + t, n, d).
-        clock: Steps since the episode began, (t, n).
-        horizon: c.
-
-    Returns:
-        (t, n), in [-1, 1].
+    Terms that would reach back before the episode are left out of the sum, which is divided by c all the same. The
+    ``states`` (c - 1 + t, n, d) begin c - 1 steps before the rollout, as the goals do that were sent to Worker at them;
+    ``following`` (t, n, d) are those that each step led to, an episode's last one included. The result is (t, n), in
+    [-1, 1]; ``clock`` (t, n) counts steps since the episode began, and c is ``horizon``.
     """
     steps = len(following)
     total = th.zeros(clock.shape)
@@ -139,16 +128,8 @@ def directions(states: th.Tensor, following: th.Tensor, ends: th.Tensor, horizon
     """Return Eq. 7's s_{t+c} - s_t, as data: no gradient flows through it, which would let Manager move s itself.
 
     An episode that ends within c steps gives the way to its last state. Where the rollout ends within c steps the rest
-    of the way is not known yet, and Manager does not learn from the step.
-
-    Args:
-        states: s_t, (t, n, d).
-        following: The state that each step led to, an episode's last one included, (t, n, d).
-        ends: Whether the episode ended with the step, (t, n).
-        horizon: c.
-
-    Returns:
-        The differences (t, n, d), and which of them are known (t, n).
+    of the way is not known yet, and Manager does not learn from the step. Takes s_t and the states that each step led
+    to (t, n, d), and with which steps episodes ended (t, n). Returns differences (t, n, d), and which are known (t, n).
     """
     steps, count = ends.shape
     now = th.arange(steps)[:, None]

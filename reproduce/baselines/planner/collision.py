@@ -16,22 +16,13 @@ GROUND_TOUCH = 0.010  # m, plates skim over loose regolith
 
 
 class CollisionChecker:
-    """Hold robot, astronaut, ground and rocks of one scene, placed as at the start of an episode.
-
-    Attributes:
-        body_touch: How deep robot and resting astronaut may overlap [m].
-        checks: Configurations checked so far.
-    """
+    """Hold robot, astronaut, ground and rocks of one scene, placed as at the start of an episode."""
 
     def __init__(self, env: LunarRescueEnv | None = None) -> None:
         """Build on an environment of its own, or on one that nobody steps."""
         self._env = env or LunarRescueEnv()
-        self._joints: list[int] = []
-        self._rocks: list[int] = []
-        self._grounds: list[int] = []
-        self._astronaut = -1
-        self.body_touch = BODY_TOUCH
-        self.checks = 0
+        self.body_touch = BODY_TOUCH  # how deep robot and resting astronaut may overlap [m]
+        self.checks = 0  # configurations checked so far
 
     def set_scene(self, scene: Scene, margin: float = ROCK_MARGIN) -> None:
         """Place everything of a scene, with rocks ``margin`` [m] larger than they are."""

@@ -44,11 +44,7 @@ class RescuePlanner:
     """Plan scenes one after the other; the same scene gets the same plan."""
 
     def __init__(self, variants: int = VARIANTS, approaches: int = APPROACHES) -> None:
-        """Set the caps on what is tried out; the two simulations are started with the first scene.
-
-        Raises:
-            UserError: On a cap below 1.
-        """
+        """Set the caps, at least 1, on what is tried out; the two simulations are started with the first scene."""
         for name, value in (("variants", variants), ("approaches", approaches)):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")

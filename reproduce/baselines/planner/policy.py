@@ -22,11 +22,7 @@ class PlannerPolicy(Policy):
 
     @property
     def plan(self) -> Plan:
-        """The plan for the present episode.
-
-        Raises:
-            UserError: Where no scene was given yet.
-        """
+        """The plan for the present episode; ``UserError`` where no scene was given yet."""
         if self._plan is None:
             raise UserError("planner: needs the scene before it can act; call prepare(scene)")
         return self._plan
