@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.network import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
 from reproduce.hrl_dcs.config import HierarchicalConfig, HierarchyConfig
 from reproduce.hrl_dcs.goals import PlainGoals

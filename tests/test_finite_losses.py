@@ -14,7 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.network import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
 from reproduce.baselines.sac import SacConfig, make_sac
 from reproduce.experiments.methods import METHODS

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.learning.config import PolicyConfig, RecurrentConfig
-from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.training import RecurrentTraining, make_environments, make_learner
+from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
 from reproduce.storage.policies import load_networks, load_policy_config
 
 LEVEL = "policy"  # name of the one learner, in checkpoints and run folders

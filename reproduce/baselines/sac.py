@@ -30,11 +30,10 @@ from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
 from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
-from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
 from reproduce.learning.sequence_ppo import check_losses
-from reproduce.learning.training import Training, make_environments
+from reproduce.learning.training import EpisodeLog, Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.policies import Spec, load_networks, load_policy_config
 from reproduce.storage.records import Units
@@ -149,10 +148,8 @@ class CheckpointedSAC(SAC):
 def make_sac(env: Any, config: SacConfig, seed: int) -> CheckpointedSAC:
     """Make the learner for SB3's environments."""
     same: Any = {name: getattr(config, name) for name in ("learning_rate", "buffer_size", "batch_size", "tau", "gamma")}
-    same["policy_kwargs"] = policy_arguments(config.hidden_units)
-    learner = CheckpointedSAC(
-        "MlpPolicy", env, ent_coef=f"auto_{config.first_ent_coef}", seed=seed, device="cpu", **same
-    )
+    same |= {"policy_kwargs": policy_arguments(config.hidden_units), "ent_coef": f"auto_{config.first_ent_coef}"}
+    learner = CheckpointedSAC("MlpPolicy", env, seed=seed, device="cpu", **same)
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 

@@ -1,7 +1,7 @@
 """`random`, and `scripted`: inverse kinematics and way-points, what a roboticist would try first; neither learns.
 
-The script sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over. It knows
-nothing of rocks, so it also tells how hard the problem is without looking at them. Its way-points are data, in
+The script sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over.
+It knows nothing of rocks, so it also tells how hard the problem is without looking at them. Its way-points are data, in
 ``planner/data/script.json``.
 """
 

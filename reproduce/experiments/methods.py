@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from reproduce.baselines.feudal.config import FeudalConfig
+from reproduce.baselines.feudal.network import FeudalConfig
 from reproduce.baselines.feudal.training import FunTraining, load_feudal_policy
-from reproduce.baselines.planner.policy import PlannerPolicy
+from reproduce.baselines.planner.planner import PlannerPolicy
 from reproduce.baselines.recurrent_ppo import FlatTraining, load_flat_policy
 from reproduce.baselines.sac import SacTraining, SacTrainingConfig, load_sac_policy
 from reproduce.baselines.scripted import RandomPolicy, ScriptedPolicy

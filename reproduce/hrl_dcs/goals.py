@@ -61,8 +61,8 @@ class PlainGoals:
     ) -> None:
         """Check the spaces, which are flat boxes, the action's with bounds, or a ``ValueError``.
 
-        ``goal_of`` leads from observations (n, d) to the goal space (n, g), along each axis of which SGN puts a sub-goal
-        at most ``reach`` away. LLN's outputs in [-1, 1] are stretched over the actions.
+        ``goal_of`` leads from observations (n, d) to the goal space (n, g), along each axis of which a sub-goal is at
+        most ``reach`` away. LLN's outputs in [-1, 1] are stretched over the actions.
         """
         sees, acts = flat_box("observation_space", observation_space), flat_box("action_space", action_space)
         if not (np.isfinite(acts.low).all() and np.isfinite(acts.high).all()):

@@ -22,8 +22,7 @@ from stable_baselines3.common.utils import FloatSchedule, explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from reproduce.baselines.feudal.config import FunConfig
-from reproduce.baselines.feudal.network import FunNetwork
+from reproduce.baselines.feudal.network import FunConfig, FunNetwork
 from reproduce.baselines.feudal.rollout import (
     FunBuffer,
     FunRollout,

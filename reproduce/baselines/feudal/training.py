@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.feudal.config import FeudalConfig, FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
-from reproduce.baselines.feudal.network import FunNetwork, FunSpec
+from reproduce.baselines.feudal.network import FeudalConfig, FunConfig, FunNetwork, FunSpec
 from reproduce.learning.config import LearnerConfig, PolicyConfig
-from reproduce.learning.episodes import EpisodeLog
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.training import RecurrentTraining, make_environments, make_learner
+from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
 from reproduce.storage.policies import load_networks, load_policy_config
 
 LEVEL = "fun"  # name of the one learner, in checkpoints and run folders

@@ -64,7 +64,11 @@ class _Tree:
 
     def branch(self, index: int) -> list[Array]:
         """Return the configurations from the root to this one."""
-        return [*(self.branch(self._parents[index]) if index else []), self.points[index]]
+        points = []
+        while index >= 0:
+            points.append(self.points[index])
+            index = self._parents[index]
+        return points[::-1]
 
 
 def _extend(tree: _Tree, towards: Array, free: Free, resolution: float) -> tuple[int, bool]:
