@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,13 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
+from reproduce.learning.config import Share, TrainingConfig
 from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
-from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.sequence_ppo import check_losses
 from reproduce.learning.training import EpisodeLog, Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
-from reproduce.storage.policies import Spec, load_networks, load_policy_config
+from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
 
 LEVEL = "actor"  # name of the one learner, in checkpoints and run folders
@@ -186,13 +187,10 @@ class SacTraining(Training):
             observations.append(np.asarray(self.learner._last_obs, np.float32))
             taken = done // self.config.n_envs + step  # steps of each environment
             learns = taken * self.config.n_envs >= max(sac.learning_starts, 1) and taken % sac.train_every == 0
-            self.env.meanwhile = self._learn if learns else None
+            self.env.meanwhile = partial(self.learner.train, sac.gradient_steps, sac.batch_size) if learns else None
             self.learner.collect(self.env, self.callback)
         observe_all(self.learner.policy, np.concatenate(observations))
         return self.row()
-
-    def _learn(self) -> None:
-        self.learner.train(self.config.sac.gradient_steps, self.config.sac.batch_size)
 
     def networks(self) -> dict[str, tuple[SacSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
@@ -207,9 +205,6 @@ class SacPolicy(MirroredPolicy):
         super().__init__(mirrored)
         self._actor = actor
 
-    def begin(self, count: int) -> None:
-        """Forget nothing, as nothing is remembered."""
-
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return the mean actions; see ``MirroredPolicy``."""
         with th.no_grad():
@@ -218,6 +213,5 @@ class SacPolicy(MirroredPolicy):
 
 
 def load_sac_policy(folder: Path) -> SacPolicy:
-    """Read the policy of a run folder; see ``load_networks``."""
-    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, SacSpec)
-    return SacPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)
+    """Read the policy of a run folder; see ``load_only_network``."""
+    return SacPolicy(*load_only_network(folder, LEVEL, SacSpec))

@@ -64,16 +64,6 @@ class Tally:
         """Return steps a second, without resets."""
         return self.steps / self.stepping
 
-    @property
-    def rate_with_resets(self) -> float:
-        """Return steps a second, resets included."""
-        return self.steps / (self.stepping + self.resetting)
-
-    @property
-    def reset_in_steps(self) -> float:
-        """Return the time of a mean reset over that of a mean step."""
-        return (self.resetting / self.resets) * self.rate
-
 
 Round = dict[str, Tally]
 
@@ -223,13 +213,15 @@ def environment_figures(rounds: list[Round]) -> dict[str, Any]:
 
 
 def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:
-    """Return rates and the length of a reset, the peer's under names of its own."""
+    """Return rates and the length of a reset in mean steps, the peer's under names of its own."""
     prefix = "peer_" if name == "peer" else ""
     return {
         f"{name}_steps_per_s{ending}_1": round(median(t.rate for t in tallies), 1),
-        f"{name}_steps_per_s{ending}_1_with_resets": round(median(t.rate_with_resets for t in tallies), 1),
+        f"{name}_steps_per_s{ending}_1_with_resets": round(
+            median(t.steps / (t.stepping + t.resetting) for t in tallies), 1
+        ),
         # Resets differ from scene to scene, so theirs is a mean; numerator and denominator share a round's noise.
-        f"{prefix}reset_in_steps{ending}": round(fmean(t.reset_in_steps for t in tallies), 2),
+        f"{prefix}reset_in_steps{ending}": round(fmean(t.resetting / t.resets * t.rate for t in tallies), 2),
     }
 
 

@@ -24,9 +24,11 @@ from reproduce.learning.sequences import (
     Minibatch,
     Rollout,
     advantages_and_returns,
+    as_tensor,
+    env_major,
     minibatches,
     sequence_bounds,
-)  # fmt: skip
+)
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.errors import RunFailedError
 
@@ -93,8 +95,9 @@ class SequencePPO(RecurrentPPO):
         hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
         if self.return_cuts is not None:
             self._cut_returns(buffer, self.return_cuts)
-        columns = {name: _env_major(getattr(buffer, name)) for name in ("observations", *TARGETS)}
-        return Rollout(**columns, hidden=_env_major(hidden), bounds=np.array(bounds, dtype=np.int64))
+        columns = {name: getattr(buffer, name) for name in ("observations", *TARGETS)} | {"hidden": hidden}
+        whole = {name: env_major(as_tensor(array)).numpy() for name, array in columns.items()}
+        return Rollout(**whole, bounds=np.array(bounds, dtype=np.int64))
 
     def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
         """Estimate advantages and returns anew, with nothing flowing back over a cut."""
@@ -192,12 +195,6 @@ class SequencePPO(RecurrentPPO):
         self.logger.record("train/explained_variance", float(explained_variance(rollout.values, rollout.returns)))
         self.logger.record("train/std", float(th.exp(self.policy.log_std.detach()).mean()))
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-
-
-def _env_major(array: Any) -> Any:
-    """Lay (t, n, ...) out as (n * t, ...) in float32, each environment's steps together."""
-    swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
-    return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))
 
 
 def check_losses(where: str, log: Mapping[str, float]) -> None:

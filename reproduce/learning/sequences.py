@@ -49,6 +49,16 @@ class Minibatch:
     rows: th.Tensor  # index of each real transition in the rollout
 
 
+def as_tensor(array: Any) -> th.Tensor:
+    """Convert to a float32 tensor, whatever the environment's own type is."""
+    return th.from_numpy(np.asarray(array, np.float32))
+
+
+def env_major(tensor: th.Tensor) -> th.Tensor:
+    """Lay (t, n, ...) out as (n * t, ...), each environment's steps together."""
+    return tensor.transpose(0, 1).flatten(0, 1).contiguous()
+
+
 def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[tuple[int, int]]:
     """Cut an environment's transitions, from index ``first`` of the rollout on, into sequences of at most ``length``.
 

@@ -185,16 +185,15 @@ class WorkerVecEnv(ClosedVecEnv):
         self._receive_all()
 
     def _receive_all(self) -> list[Any]:
-        return [self._receive(index) for index in range(len(self._pipes))]
-
-    def _receive(self, index: int) -> Any:
-        try:
-            answer = self._pipes[index].recv()
-        except (EOFError, ConnectionResetError):
-            raise self._death(index) from None
-        if isinstance(answer, WorkerError):
-            raise WorkerError(f"worker {index} of {len(self._pipes)} raised:\n{answer}")
-        return answer
+        answers = []
+        for index, pipe in enumerate(self._pipes):
+            try:
+                answers.append(pipe.recv())
+            except (EOFError, ConnectionResetError):
+                raise self._death(index) from None
+            if isinstance(answers[-1], WorkerError):
+                raise WorkerError(f"worker {index} of {len(self._pipes)} raised:\n{answers[-1]}")
+        return answers
 
     def _send(self, message: bytes) -> None:
         for index, pipe in enumerate(self._pipes):

@@ -23,16 +23,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
 from reproduce.baselines.feudal.network import FunConfig, FunNetwork
-from reproduce.baselines.feudal.rollout import (
-    FunBuffer,
-    FunRollout,
-    as_tensor,
-    directions,
-    env_major,
-    intrinsic_rewards,
-)  # fmt: skip
+from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, directions, intrinsic_rewards
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns
+from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns, as_tensor, env_major
 
 
 class FunPPO(SequencePPO):

@@ -15,7 +15,7 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from torch.nn import functional
 
 from reproduce.baselines.feudal.network import FunSpec, Memory, Step
-from reproduce.learning.sequences import Floats, Rollout, sequence_bounds
+from reproduce.learning.sequences import Floats, Rollout, as_tensor, sequence_bounds
 
 
 class FunBuffer(RolloutBuffer):
@@ -92,16 +92,6 @@ class FunRollout(Rollout):
     def states_before(self, first: th.Tensor) -> th.Tensor:
         """Return the dilated LSTM's states (n, 2, r, d) before the sequences that begin at transitions ``first``."""
         return self.manager_states[np.searchsorted(self.bounds[:, 0], first.numpy())]
-
-
-def as_tensor(array: Any) -> th.Tensor:
-    """Convert to a float32 tensor, whatever the environment's own type is."""
-    return th.from_numpy(np.asarray(array, np.float32))
-
-
-def env_major(tensor: th.Tensor) -> th.Tensor:
-    """Lay (t, n, ...) out as (n * t, ...), each environment's steps together."""
-    return tensor.transpose(0, 1).flatten(0, 1).contiguous()
 
 
 def intrinsic_rewards(

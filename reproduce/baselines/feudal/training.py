@@ -9,14 +9,11 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from lunar_rescue.observation import SIZE
-from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.network import FeudalConfig, FunConfig, FunNetwork, FunSpec
-from reproduce.learning.config import LearnerConfig, PolicyConfig
-from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.learning.config import LearnerConfig
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
-from reproduce.storage.policies import load_networks, load_policy_config
 
 LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
 
@@ -42,9 +39,8 @@ class FunPolicy(MirroredPolicy):
 
 
 def load_feudal_policy(folder: Path) -> FunPolicy:
-    """Read the policy of a run folder; see ``load_networks``."""
-    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, FunSpec)
-    return FunPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)
+    """Read the policy of a run folder; see ``load_only_network``."""
+    return FunPolicy(*load_only_network(folder, LEVEL, FunSpec))
 
 
 def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int) -> FunPPO:
