@@ -215,6 +215,7 @@ def environment_figures(rounds: list[Round]) -> dict[str, Any]:
 def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:
     """Return rates and the length of a reset in mean steps, the peer's under names of its own."""
     prefix = "peer_" if name == "peer" else ""
+    with_resets = median(t.steps / (t.stepping + t.resetting) for t in tallies)
     return {
         f"{name}_steps_per_s{ending}_1": round(median(t.rate for t in tallies), 1),
         f"{name}_steps_per_s{ending}_1_with_resets": round(

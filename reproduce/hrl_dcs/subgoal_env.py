@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
-from reproduce.hrl_dcs.high_level import HighLevel
+from reproduce.hrl_dcs.policy import HighLevel
 from reproduce.learning.networks import RecurrentNetwork, flat_spaces
 from reproduce.learning.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
 from reproduce.learning.training import EpisodeLog

@@ -42,7 +42,7 @@ SHARED_TERMS = [index for index, term in enumerate(TERMS) if not term.once and i
 #: Terms that come once an episode, of which INR has a share.
 MILESTONES = [index for index, term in enumerate(TERMS) if term.once]
 
-_ENDS = [SLICES[arm].start + 15 + axis for arm in ("P_A", "P_B") for axis in range(3)]
+_END_A, _END_B = (slice(SLICES[arm].start + 15, SLICES[arm].start + 18) for arm in ("P_A", "P_B"))
 _AHEAD = np.array([1.0, 0.0, 0.0] * 2, np.float32)
 _UP = np.array([0.0, 0.0, 1.0] * 2, np.float32)
 _UP_A, _UP_B = SLICES["P_A"].start + 20, SLICES["P_B"].start + 20  # height of the unit vector along a plate
@@ -56,7 +56,7 @@ _FRONT_Z = SLICES["P_P"].start + 5
 
 def arm_ends(observations: Floats) -> Floats:
     """Return the two arm ends from flat observations (n, SIZE), as (n, 6) [m]."""
-    return observations[:, _ENDS]
+    return np.concatenate([observations[:, _END_A], observations[:, _END_B]], axis=1)
 
 
 def achieved(observations: Floats, rise: float) -> Floats:

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.planner.approach import ApproachPlanner
-from reproduce.baselines.planner.collision import CollisionChecker
+from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
-from reproduce.baselines.way_points import Variant, kind, load_way_points, vary
+from reproduce.baselines.scripted import VARIANTS as VARIANTS_FILE
+from reproduce.baselines.scripted import Variant, kind, load_way_points, vary
 from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 

@@ -16,10 +16,9 @@ import typer
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
-from reproduce.baselines.planner.approach import ApproachPlanner
-from reproduce.baselines.planner.collision import CollisionChecker
+from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.way_points import SCRIPT, VARIANTS, Variant, WayPoint, kind, load_way_points, vary
+from reproduce.baselines.scripted import SCRIPT, VARIANTS, Variant, WayPoint, kind, load_way_points, vary
 from reproduce.storage.files import check_writable, write_json
 from reproduce.storage.provenance import provenance
 
