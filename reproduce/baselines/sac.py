@@ -56,12 +56,10 @@ class SacConfig:
     learning_starts: NonNegativeInt = 10_000  # Environment steps before the first gradient step
     learning_rate: PositiveFloat = 3.0e-4  # Learning rate of actor, critics and entropy weight
     tau: Share = 0.005  # Share of the critics that goes into the target critics after each gradient step
-    # Units of each of the two layers of actor and critics; paper, section 4.1. SB3's 256 take twice the time
-    hidden_units: Units = 128
+    hidden_units: Units = 128  # Units of both layers of actor and critics; paper, section 4.1. SB3's 256 are slower
     gamma: Share = 0.99  # Discount; paper, section 4.1
     first_ent_coef: PositiveFloat = 1.0  # Entropy weight at the beginning; it is learnt (SB3's "auto" begins with 1)
-    # Steps of each environment between rows of `progress.csv`, at which observations are standardised anew
-    n_steps: PositiveInt = 128
+    n_steps: PositiveInt = 128  # Steps of an environment to a row of `progress.csv` and new standardisation
 
 
 @checked

@@ -218,9 +218,7 @@ def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:
     with_resets = median(t.steps / (t.stepping + t.resetting) for t in tallies)
     return {
         f"{name}_steps_per_s{ending}_1": round(median(t.rate for t in tallies), 1),
-        f"{name}_steps_per_s{ending}_1_with_resets": round(
-            median(t.steps / (t.stepping + t.resetting) for t in tallies), 1
-        ),
+        f"{name}_steps_per_s{ending}_1_with_resets": round(with_resets, 1),
         # Resets differ from scene to scene, so theirs is a mean; numerator and denominator share a round's noise.
         f"{prefix}reset_in_steps{ending}": round(fmean(t.resetting / t.resets * t.rate for t in tallies), 2),
     }

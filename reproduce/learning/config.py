@@ -65,9 +65,8 @@ class TrainingConfig:
     reward: RewardWeights = field(default_factory=RewardWeights)  # Weights of the environment's reward, which is EXR
     obstacle_reward: Literal["aapf", "contact"] = "aapf"  # `"aapf"` or, in the ablation, `"contact"`
     scenes: Literal["all", "easy"] = "all"  # `"all"`, or `"easy"`: one posture, no rocks, the lightest astronaut
-    # Training draws postures face up and face down so many times as often as those on a side, which are learnt
-    # first: a curriculum over postures. Rates in `progress.csv` are weighed back to what tests draw, all postures
-    # alike.
+    # How many times as often as postures on a side, which are learnt first, training draws those face up and down.
+    # Rates in `progress.csv` are weighed back to what tests draw, all postures alike.
     lying_weight: PositiveInt = 1
     mirrored: bool = True  # Whether learners see the astronaut's head on arm A's side, see `learning.mirror`
 

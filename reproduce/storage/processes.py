@@ -70,22 +70,17 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
 def start_fork_server() -> None:
     """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
-    _keep_sockets_short()
+    chosen = tempfile.gettempdir()
+    if len(chosen) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
+        tempfile.tempdir = "/tmp"
+        util.get_temp_dir()
+        tempfile.tempdir = chosen
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
-
-
-def _keep_sockets_short() -> None:
-    """Have ``multiprocessing`` make the folder of its sockets in /tmp where TMPDIR is too long for them."""
-    chosen = tempfile.gettempdir()
-    if len(chosen) > _LONGEST_FOLDER:
-        tempfile.tempdir = "/tmp"
-        util.get_temp_dir()  # made once, remembered, and removed at the end
-        tempfile.tempdir = chosen
 
 
 def map_in_processes(

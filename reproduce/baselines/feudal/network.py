@@ -36,15 +36,13 @@ class FunConfig:
     goal_size: Units = 256  # d, size of Manager's state s and of a goal, and so the units of the dilated LSTM; FuN's
     embedding_size: Units = 16  # k, size of a goal as Worker sees it; FuN's
     # alpha, weight of the intrinsic reward in Worker's. It is paid at each step, so a large one pays for not
-    # finishing (the small task's policies with 0.5 never did): what it pays on average, about a tenth of it
-    # (`fun_intrinsic` in `progress.csv` is the mean before the weight), must stay under what the time bonus loses
-    # in a step.
+    # finishing (with 0.5 none did): about a tenth of it (`fun_intrinsic` in `progress.csv` is the mean before the
+    # weight) must stay under what the time bonus loses in a step.
     intrinsic_weight: NonNegativeFloat = 0.05
     random_goals: Share = 0.05  # epsilon, share of steps with a random goal instead of Manager's; FuN says only "small"
     manager_gamma: Share = 0.99  # Manager's discount, Worker's is `LearnerConfig.gamma`; both: paper, section 4.1
     manager_gae_lambda: Share = 0.95  # Lambda of Manager's advantages; not in FuN, which has n-step returns; as for SGN
-    # kappa of the von Mises-Fisher transition policy; 1 makes the clipped loss's first gradient that of Eq. 7
-    concentration: NonNegativeFloat = 1.0
+    concentration: NonNegativeFloat = 1.0  # kappa of von Mises-Fisher; 1 makes the first gradient that of Eq. 7
 
 
 @checked

@@ -180,14 +180,11 @@ class ApproachPlanner:
                     break
 
     # -- slides ------------------------------------------------------------------------------------------------------
-    def _waists(self, stance: Stance) -> Array:
-        """Return the waist angle above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad]."""
-        slide = stance.under - stance.lean * self._backs
-        return np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
-
     def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
         """Yield free slides of both arms to goals: whole, with a hover above the entry first, or their last part."""
-        free, waists = self._checker.free, self._waists(stance)
+        free, slide = self._checker.free, stance.under - stance.lean * self._backs
+        # The waist above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad].
+        waists = np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
         if stance not in self._solved:
             self._solved[stance] = [
                 self._solve(a, target, waists) for a, target in zip(ARMS, self.targets, strict=True)
