@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from functools import partial
 from statistics import fmean, median
 from typing import Any
 
@@ -96,8 +97,8 @@ def measure_environments(rounds: int, steps: int) -> dict[str, Any]:
         for _ in range(rounds + 1):
             tallies.append(run_round(ours, peer, kinds, steps))
             everywhere.append(_all_environments(venv, rng))
-    everywhere_rate = round(median(everywhere[1:]), 1)
-    return {**environment_figures(tallies[1:]), "env_steps_per_s_all": everywhere_rate, "rounds": rounds}
+    rate = round(median(everywhere[1:]), 1)
+    return {**environment_figures(tallies[1:]), "env_steps_per_s_all": rate, "rounds": rounds}
 
 
 def run_round(ours: Episodes, peer: Episodes | None, kinds: Iterable[str], steps: int) -> Round:
@@ -158,9 +159,8 @@ def our_episodes(stack: ExitStack) -> Episodes:
         episodes.inside += time.perf_counter() - begun
 
     env.simulation.advance = timed  # type: ignore[method-assign]
-    episodes = Episodes(
-        lambda: env.reset_flat(next(seeds)), env.step_flat, lambda: rng.uniform(-1, 1, JOINTS), HOLD, MAX_STEPS
-    )
+    sample = partial(rng.uniform, -1, 1, JOINTS)
+    episodes = Episodes(lambda: env.reset_flat(next(seeds)), env.step_flat, sample, HOLD, MAX_STEPS)
     return episodes
 
 

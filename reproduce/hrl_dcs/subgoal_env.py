@@ -65,9 +65,7 @@ class RecordedHighLevel(HighLevel):
         for index, decisions in enumerate(self.decisions):
             done = decisions if decisions and decisions[-1].done else decisions[:-1]
             if done:
-                rewards, values = (
-                    np.array([getattr(d, name) for d in done], np.float32) for name in ("reward", "value")
-                )
+                rewards, values = np.array([(d.reward, d.value) for d in done], np.float32).T
                 ends, starts = np.array([d.done for d in done]), np.array([d.start for d in done])
                 # Where the last one ended its episode, the value after it does not count.
                 estimates.append(advantages_and_returns(rewards, values, decisions[-1].value, ends, gamma, lam))
@@ -154,13 +152,10 @@ class SubGoalVecEnv(EpisodeLog):
                 decision.done = True
                 if infos[index].get("TimeLimit.truncated", False):
                     # At the step limit the value of what would have come stands in, as SB3 does for the low level.
-                    decision.reward += self._config.high.gamma * self._value(ended[index])
+                    states = (th.zeros(1, 1, 1), th.zeros(1, 1, 1))  # the critic has no memory
+                    with th.no_grad():
+                        value = self._sgn.predict_values(th.from_numpy(ended[[index]]), states, th.zeros(1))
+                    decision.reward += self._config.high.gamma * float(value)
                 infos[index]["terminal_observation"] = self._goals.view(
                     ended[index : index + 1], self.high.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
-
-    def _value(self, observation: Floats) -> float:
-        with th.no_grad():
-            states = (th.zeros(1, 1, 1), th.zeros(1, 1, 1))  # the critic has no memory
-            value = self._sgn.predict_values(th.from_numpy(observation[None]), states, th.zeros(1))
-        return float(value)

@@ -86,14 +86,9 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
         values = [float(e.get(key, "nan")) for e in episodes]
         return float(np.average(values, weights=shares)) if episodes else float("nan")
 
-    return {
-        "episodes": len(episodes),
-        "success": mean("is_success"),
-        "both_arms_under": mean("both_arms_under"),
-        "return_high": mean("exr"),
-        "return_low": mean("inr"),
-        "episode_steps": mean("steps"),
-    }
+    keys = {"success": "is_success", "both_arms_under": "both_arms_under", "return_high": "exr"}
+    keys |= {"return_low": "inr", "episode_steps": "steps"}
+    return {"episodes": len(episodes), **{name: mean(key) for name, key in keys.items()}}
 
 
 class EpisodeLog(VecEnvWrapper):

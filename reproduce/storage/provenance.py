@@ -75,8 +75,6 @@ def commit(root: Path = INSTALLED) -> str:
 
 
 def _processor() -> str:
-    cpus = Path("/proc/cpuinfo")
-    found = (
-        re.search(r"^model name.*?:(.*)$", cpus.read_text(encoding="utf-8"), re.MULTILINE) if cpus.exists() else None
-    )
+    path = Path("/proc/cpuinfo")
+    found = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
     return found[1].strip() if found else platform.machine()

@@ -65,9 +65,8 @@ class FunBuffer(RolloutBuffer):
         """
         steps, every = self.buffer_size, self.sequence_length
         cuts = self.episode_starts.astype(bool) | (np.arange(steps) % every == 0)[:, None]
-        bounds = np.array(
-            [b for i in range(self.n_envs) for b in sequence_bounds(cuts[:, i], i * steps, every)], np.int64
-        )
+        found = [b for i in range(self.n_envs) for b in sequence_bounds(cuts[:, i], i * steps, every)]
+        bounds = np.array(found, np.int64)
         env, step = np.divmod(bounds[:, 0], steps)
         # Where none was stored an episode begins, in an empty state.
         stored = th.from_numpy(step % every == 0)[:, None, None, None]

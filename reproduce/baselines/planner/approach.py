@@ -114,8 +114,11 @@ class CollisionChecker:
         self._env.reset_flat(options={"scene": scene})
         episode, simulation = self._env.episode, self._env.simulation
         self._astronaut = episode.astronaut.handle
-        hulls = [_grow(rock.vertices(), margin) for rock in scene.rocks] if margin else []
-        self._rocks = [*episode.rocks, *map(simulation.add_hull, hulls)]
+        self._rocks = [*episode.rocks]
+        for vertices in [rock.vertices() for rock in scene.rocks] if margin else []:
+            outward = vertices - vertices.mean(axis=0)
+            grown = vertices + margin * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+            self._rocks.append(simulation.add_hull(grown))
         # An environment may load a new robot at a reset.
         by_name = {row[1]: row[0] for row in simulation.joint_table(self._env.robot.handle)}
         names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
@@ -138,13 +141,6 @@ class CollisionChecker:
         if any(simulation.touching(robot, other) for other in (*self._rocks, robot)):
             return False
         return all(simulation.penetration(robot, ground) <= GROUND_TOUCH for ground in self._grounds)
-
-
-def _grow(vertices: Array, margin: float) -> Array:
-    """Move the corners (M, 3) of a rock outwards by a margin [m]."""
-    outward = vertices - vertices.mean(axis=0)
-    grown: Array = vertices + margin * outward / np.linalg.norm(outward, axis=1, keepdims=True)
-    return grown
 
 
 class ApproachPlanner:

@@ -97,10 +97,8 @@ def main(out: Path = VARIANTS, candidates: int = CANDIDATES, scenes: int = SCENE
     kinds, shares = {}, {}
     for name in KINDS:
         variants, shares[name] = search(name, candidates, scenes)
-        rounded = [
-            [{key: round(n, 3) for key, n in asdict(point).items()} for point in variant] for variant in variants
-        ]
-        kinds[name] = rounded
+        points = [[asdict(point) for point in variant] for variant in variants]
+        kinds[name] = [[{key: round(value, 3) for key, value in row.items()} for row in rows] for rows in points]
         print(name, shares[name], flush=True)
     how = (
         f"random search around the way-points of method scripted, {candidates} candidates of a kind on {scenes} "
