@@ -6,8 +6,6 @@ Nothing of the rescue is used. The goal space is the motion of the pendulum, (co
 how it should move, LLN makes it. FeUdal Networks learn their goal space by themselves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The command line: ``reproduce`` or ``python -m reproduce``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any

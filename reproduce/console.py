@@ -1,7 +1,5 @@
 """What all commands share: options, whose paths are checked before any work begins, and how a command ends."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

@@ -1,7 +1,5 @@
 """Figures of the notebooks; each takes data and returns a Matplotlib figure."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from contextlib import closing

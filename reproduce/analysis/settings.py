@@ -1,7 +1,5 @@
 """Every setting of every method that learns, and where it comes from, in one table; read from the configuration."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap

@@ -1,7 +1,5 @@
 """`ppo_lstm`: one recurrent PPO network on the environment's own reward; shows what the hierarchy adds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

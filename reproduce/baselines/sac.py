@@ -5,8 +5,6 @@ the same number of environment steps and within the hour that every method has, 
 step of all environments together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

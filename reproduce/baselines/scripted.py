@@ -5,8 +5,6 @@ It knows nothing of rocks, so it also tells how hard the problem is without look
 ``planner/data/script.json``.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

@@ -4,8 +4,6 @@ The same environments, networks, rollouts, batches and epochs; only who steps an
 alone: SGN's decisions are cut to a rectangle, as a stock buffer wants, so it is not meant to learn well.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

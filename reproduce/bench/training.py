@@ -1,7 +1,5 @@
 """Measure training: HRL-DCS with our parts beside HRL-DCS with stock ones, in turn, so that both share the noise."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import closing

@@ -3,8 +3,6 @@
 Every method meets the same scenes, and the result of a scene does not depend on which others are tested beside it.
 """
 
-from __future__ import annotations
-
 import difflib
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The evaluations of a run: which scenes each one tests and what is taken out of the policy, by the file's name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One registry of methods: a name, how it trains, how it acts. Commands, notebooks and tests loop over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Work on many scenes, one scene a job, in as many processes as there are cores."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """Presets and tuning trials, which are data, and the configurations that they make of a method's class."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace

@@ -5,8 +5,6 @@ ends as if nothing had happened. An interruption itself writes no checkpoint: en
 checkpoint that was not planned would change everything after it.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

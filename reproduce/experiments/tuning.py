@@ -6,8 +6,6 @@ processes of a rescue that its policy completes: half for both arms under, half 
 the trial's length.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable

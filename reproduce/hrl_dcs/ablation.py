@@ -1,7 +1,5 @@
 """What each layer adds: a trained two-layer policy with one of its layers put out of action."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 

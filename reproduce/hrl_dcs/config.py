@@ -1,7 +1,5 @@
 """Configuration of the two-layer method: what SGN and LLN have that no other method has."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 

@@ -5,8 +5,6 @@
 observations to a goal space (see docs/extending.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol
 

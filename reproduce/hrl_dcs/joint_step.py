@@ -8,8 +8,6 @@ it. It is an observation and nothing more: no output is added to LLN's, which ha
 load, in contact and among rocks.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

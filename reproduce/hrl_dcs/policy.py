@@ -1,7 +1,5 @@
 """SGN at work, at t = 0, N, 2N, ... of every episode, and acting with both layers, batched over environments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ environments that need one. An episode of LLN's is the N steps to a sub-goal (se
 cut there; its memory lives on. SGN's transitions, with EXR summed over the N steps, are recorded for its own learner.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -15,8 +15,6 @@ untrained SGN sends the arms straight at them and onto the body, and learning st
 log). All distances are in ``AnchorConfig``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

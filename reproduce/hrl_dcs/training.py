@@ -3,8 +3,6 @@
 One rollout of LLN's feeds both: LLN learns from every step with INR, SGN from every N steps with the summed EXR.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

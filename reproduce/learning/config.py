@@ -4,8 +4,6 @@ Each method has a class of its own that adds its sections, such as ``reproduce.h
 What the presets hold for them is in ``reproduce.experiments.presets``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 

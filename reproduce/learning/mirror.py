@@ -11,8 +11,6 @@ of these x and z turn round instead. Joint angles are counted alike for both arm
 are swapped and keep their signs.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

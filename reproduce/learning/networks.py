@@ -7,8 +7,6 @@ LLN  s_t, g_t, a_{t-1} -> encoder (tanh) -> LSTM -> fully connected -> joint act
 Task code I and previous action a_{t-1} are part of the observation. Each has a feed-forward critic of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

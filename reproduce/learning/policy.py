@@ -1,7 +1,5 @@
 """What every method offers after training: a way to act on a batch of observations."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from pathlib import Path
 from typing import Any, Protocol

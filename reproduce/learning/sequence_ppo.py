@@ -4,8 +4,6 @@ The stock learner loops over time in Python whenever an episode starts inside a 
 at episode starts, so one fused LSTM call serves a minibatch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

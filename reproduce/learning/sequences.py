@@ -4,8 +4,6 @@ Time is not looped over in Python: a recurrent network sees a minibatch of seque
 that the network had when the sequence began (ML-Agents' ``sequence_length``, the natural reading of P9).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What the trainings of all methods share: environments, schedules, summaries of episodes."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ Observations, rewards and reward terms travel through shared memory; only what h
 as a message. A scene's seed depends on the run's seed, the environment's index and the number of the episode alone.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import traceback

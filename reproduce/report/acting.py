@@ -1,7 +1,5 @@
 """Act a rescue out while somebody looks on: what films, 3D replays and the live view share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Model cards, and folders with a trained policy that can be uploaded to a model hub as they are."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One rescue as a film or a strip of pictures (F5)."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

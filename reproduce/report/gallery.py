@@ -1,7 +1,5 @@
 """The report's 3D replays: a success and a failure of each method, and every posture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

@@ -4,8 +4,6 @@ papermill only warns of a parameter that a notebook does not know, and takes any
 checked for all notebooks before the first one runs.
 """
 
-from __future__ import annotations
-
 import ast
 import os
 import tempfile

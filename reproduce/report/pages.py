@@ -3,8 +3,6 @@
 A page's template in ``templates/`` has a block for each of the page's, under the same name.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

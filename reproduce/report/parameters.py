@@ -4,8 +4,6 @@ papermill only warns of a parameter that a notebook does not know, and takes any
 ``check(globals(), ...)``, and the command line makes the same check for all notebooks before the first one runs.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError

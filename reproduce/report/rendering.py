@@ -1,7 +1,5 @@
 """Render the templates in ``templates/``: pages of the report, model cards, computed blocks of README and docs."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``reproduce replay``: one rescue as a film, a strip of pictures or a page in three dimensions (F5)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Build the site with Material for MkDocs: first page, notebooks, replays, policies and documentation."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

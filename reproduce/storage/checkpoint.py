@@ -3,8 +3,6 @@
 Environments begin anew at a checkpoint, also in a run that is not interrupted, so a resumed run repeats it bit for bit.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Write files so that a kill at any moment leaves the old one or the new one, and let one process write at a time."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -3,8 +3,6 @@
 Weights are safetensors, everything else JSON. Names, types, shapes and sizes are checked before a network is built.
 """
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Ctrl-C and a terminal that closes reach a whole group of processes at once. Work
 which stops them, says one line and ends with code 128 plus the signal's number.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import multiprocessing

@@ -1,7 +1,5 @@
 """Record where a result comes from: command, commit, versions, machine. Every file that a command writes carries it."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

@@ -1,7 +1,5 @@
 """Checked records of ``lunar_rescue.scenes.records`` as plain data for files, and what differs between two of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import asdict

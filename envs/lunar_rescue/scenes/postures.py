@@ -1,7 +1,5 @@
 """The 20 postures, read and checked from one data file (P8), and those of the held-out split from a second."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Scenes drawn from a seed: posture, task, places, mass, ground and rocks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 reliefs and masses that no training, validation or test scene has (see ``lunar_rescue.scenes.scene``).
 """
 
-from __future__ import annotations
-
 TEST = range(0, 1_000_000)  # the paper's 1000 tests are the first thousand
 VALIDATION = range(1_000_000, 2_000_000)  # for tuning
 HELDOUT = range(2_000_000, 3_000_000)

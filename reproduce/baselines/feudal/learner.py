@@ -8,8 +8,6 @@ Its norm does not depend on the goal, so the ratio of new and old is exp(kappa (
 own goals it is 1 and its gradient, times A^M, is that of Eq. 7, A^M grad cos(s_{t+c} - s_t, g_t).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -9,8 +9,6 @@ FuN's softmax over U_t w_t becomes a Gaussian with mean U_t w_t and a standard d
 bias, so a zero goal gives a zero mean action. Worker gets goals as data: no gradient of its loss reaches Manager.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch as th
 from gymnasium import spaces

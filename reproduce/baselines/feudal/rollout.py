@@ -3,8 +3,6 @@
 Time comes first, then environments: (t, n, ...). No cosine crosses the end of an episode.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`fun`: Manager and Worker trained together on the environment's own reward, as `ppo_lstm` is, and acting."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ The last part of every way is a straight slide in front of and then under the bo
 solved backwards from several goals for each arm, and RRT-Connect finds the way to where the slide begins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

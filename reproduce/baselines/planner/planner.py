@@ -1,7 +1,5 @@
 """`planner`: plans a whole rescue with full knowledge, trying it out in a copy of the simulator before it is done."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

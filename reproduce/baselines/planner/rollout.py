@@ -1,7 +1,5 @@
 """Try a plan out in an environment: follow a joint path until both arms are under, then way-points."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

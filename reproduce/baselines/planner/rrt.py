@@ -3,8 +3,6 @@
 Distances are the largest change of any joint: all joints have the same speed limit, so that is the time a motion takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -4,8 +4,6 @@ Run it again when the physics changes. Candidates are drawn around the script's 
 more than a few of the first scenes is dropped. Those that remain are put in the order in which each adds most scenes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import count, islice

@@ -1,7 +1,5 @@
 """``reproduce batch``: one Snakemake a folder, which ends with its batch, and the list of what failed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
