@@ -33,7 +33,7 @@ ORDER = {
         ("contacts", "episode", "observation", "rewards", "tasks"),
         ("physics",),
         ("scenes",),
-        ("data",),
+        ("arrays", "data"),
     ),
 }
 LONGEST_FILE, LONGEST_FUNCTION = 300, 40  # lines

@@ -13,10 +13,9 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.networks import RecurrentNetwork, Standardiser
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.sequences import Rollout, advantages_and_returns, minibatches, sequence_bounds
-from reproduce.learning.standardiser import Standardiser
 
 
 class Recall(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

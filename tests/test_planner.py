@@ -12,11 +12,10 @@ import pytest
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.physics.kinematics import END, ArmChain, solve_arm, solve_arms
 from lunar_rescue.physics.robot import ARMS, WAIST
-from reproduce.baselines.planner.collision import CollisionChecker
-from reproduce.baselines.planner.planner import RescuePlanner
-from reproduce.baselines.planner.policy import PlannerPolicy
+from reproduce.baselines.planner.approach import CollisionChecker
+from reproduce.baselines.planner.planner import PlannerPolicy, RescuePlanner
 from reproduce.baselines.planner.rrt import connect, length, path_is_free, resample, shortcut
-from reproduce.baselines.way_points import SCRIPT, VARIANTS, WayPoint, load_way_points
+from reproduce.baselines.scripted import SCRIPT, VARIANTS, WayPoint, load_way_points
 from reproduce.experiments.evaluate import run_episode
 from reproduce.experiments.solvability import measure_solvability, solve_scene, summarise_solvability
 from reproduce.storage.errors import UserError

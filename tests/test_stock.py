@@ -24,7 +24,7 @@ def test_stock_training_updates_both_layers_and_hands_its_rollout_over() -> None
         assert all(not np.array_equal(a, b) for a, b in zip(before, after, strict=True))
         assert stock.sgn.rollout_buffer.full and stock.sgn.rollout_buffer.buffer_size == stock.rows
         stock.collect()
-        env = OnlySpaces(stock.env.observation_space, stock.env.action_space, config.n_envs)
+        env = OnlySpaces(config.n_envs, stock.env.observation_space, stock.env.action_space)
         ours = make_learner(env, config.low, 0, False)
         ours.policy.load_state_dict(stock.lln.policy.state_dict())
         copy_rollout(stock.lln.rollout_buffer, ours.rollout_buffer)

@@ -18,15 +18,17 @@ from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
+from reproduce.learning.networks import observe_all
 from reproduce.learning.sequences import (
     TARGETS,
     Minibatch,
     Rollout,
     advantages_and_returns,
+    as_tensor,
+    env_major,
     minibatches,
     sequence_bounds,
-)  # fmt: skip
-from reproduce.learning.standardiser import observe_all
+)
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.errors import RunFailedError
 
@@ -35,14 +37,7 @@ LEAST_FACTOR = 1.0 / 30.0
 
 
 class SequencePPO(RecurrentPPO):
-    """RecurrentPPO over flat observations, for a ``RecurrentNetwork``: an LSTM in the actor, none in the critic.
-
-    Attributes:
-        external_rollout: Transitions to train on that were collected elsewhere; SGN's are collected in LLN's view.
-        return_cuts: After which steps returns are cut although episode and memory go on, (n_steps, n_envs).
-        rate_factor: What the schedule's learning rate is multiplied by, in [1 / 30, 1].
-        where: Name of the learner and number of the update, for errors; a training sets it.
-    """
+    """RecurrentPPO over flat observations, for a ``RecurrentNetwork``: an LSTM in the actor, none in the critic."""
 
     def __init__(
         self,
@@ -52,26 +47,22 @@ class SequencePPO(RecurrentPPO):
         desired_kl: tuple[float, float] = (0.0, 0.0),
         **kwargs: Any,
     ) -> None:
-        """Make a learner as RecurrentPPO does, with three settings more.
+        """Make a learner as RecurrentPPO does; ``batch_size`` counts transitions.
 
-        Args:
-            *args: See ``RecurrentPPO``.
-            sequence_length: Most steps that the gradient flows back through time.
-            log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
-                and the share of the training at which it has come down.
-            desired_kl: KL of an update at the beginning and at the end of the training, on a line between. Where
-                positive, ``rate_factor`` falls when an update's approximate KL is over twice this and rises when it is
-                under half.
-            **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
+        The gradient flows back through time over at most ``sequence_length`` steps. The logarithm of the actions'
+        standard deviation stays under ``log_std_line``: its beginning, its end, and the share of the training at which
+        it has come down. ``desired_kl`` is an update's KL at the beginning and at the end, on a line between: where
+        positive, ``rate_factor`` falls when an update's KL is over twice this and rises when it is under half.
         """
         if sequence_length < 1:
             raise ValueError(f"sequence_length: expected at least 1, got {sequence_length!r}")
         self.sequence_length = sequence_length
         self.log_std_line, self.desired_kl = log_std_line, desired_kl
-        self.rate_factor = 1.0
-        self.external_rollout: Rollout | None = None
+        self.rate_factor = 1.0  # what the schedule's learning rate is multiplied by, in [1 / 30, 1]
+        self.external_rollout: Rollout | None = None  # to train on, collected elsewhere: SGN's come from LLN's view
+        # After which steps returns are cut although episode and memory go on, (n_steps, n_envs).
         self.return_cuts: NDArray[np.bool_] | None = None
-        self.where = type(self).__name__
+        self.where = type(self).__name__  # name of the learner and number of the update, for errors
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
 
@@ -104,8 +95,9 @@ class SequencePPO(RecurrentPPO):
         hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
         if self.return_cuts is not None:
             self._cut_returns(buffer, self.return_cuts)
-        columns = {name: _env_major(getattr(buffer, name)) for name in ("observations", *TARGETS)}
-        return Rollout(**columns, hidden=_env_major(hidden), bounds=np.array(bounds, dtype=np.int64))
+        columns = {name: getattr(buffer, name) for name in ("observations", *TARGETS)} | {"hidden": hidden}
+        whole = {name: env_major(as_tensor(array)).numpy() for name, array in columns.items()}
+        return Rollout(**whole, bounds=np.array(bounds, dtype=np.int64))
 
     def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
         """Estimate advantages and returns anew, with nothing flowing back over a cut."""
@@ -118,11 +110,7 @@ class SequencePPO(RecurrentPPO):
         )
 
     def train(self) -> None:
-        """Take ``n_epochs`` passes over the rollout, with RecurrentPPO's losses.
-
-        Raises:
-            RunFailedError: When a loss is not finite; no step is taken by it.
-        """
+        """Take ``n_epochs`` passes over the rollout; a ``RunFailedError`` stops at a loss that is not finite."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         for group in self.policy.optimizer.param_groups:
@@ -178,16 +166,16 @@ class SequencePPO(RecurrentPPO):
         entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
         loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
         with th.no_grad():
-            log_ratio = log_prob.detach() - data["log_probs"]
+            log_ratio = log_prob - data["log_probs"]
             log = {
-                "policy_gradient_loss": float(policy_loss.detach()),
-                "value_loss": float(value_loss.detach()),
-                "entropy_loss": float(entropy_loss.detach()),
-                "loss": float(loss.detach()),
-                "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
-                "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
+                "policy_gradient_loss": policy_loss,
+                "value_loss": value_loss,
+                "entropy_loss": entropy_loss,
+                "loss": loss,
+                "approx_kl": th.mean((th.exp(log_ratio) - 1) - log_ratio),
+                "clip_fraction": th.mean((th.abs(ratio - 1) > clip).float()),
             }
-        return loss, log
+        return loss, {name: value.item() for name, value in log.items()}
 
     def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
         """Return values, log probabilities and entropies (m,) of a minibatch's real transitions, by one LSTM call."""
@@ -209,21 +197,10 @@ class SequencePPO(RecurrentPPO):
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
 
-def _env_major(array: Any) -> Any:
-    """Lay (t, n, ...) out as (n * t, ...) in float32, each environment's steps together."""
-    swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
-    return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))
-
-
 def check_losses(where: str, log: Mapping[str, float]) -> None:
-    """Stop a training at the first loss that is not finite, before it spoils the weights or a checkpoint.
+    """Stop a training with a ``RunFailedError`` at the first loss that is not finite, before it spoils the weights.
 
-    Args:
-        where: Name of the learner and number of its update.
-        log: What is logged of an update; names of losses end in ``loss``.
-
-    Raises:
-        RunFailedError: Naming learner, update, loss and value.
+    ``where`` names learner and update for the message; in the update's log, names of losses end in ``loss``.
     """
     for name, value in log.items():
         if name.endswith("loss") and not math.isfinite(value):

@@ -49,6 +49,16 @@ class Minibatch:
     rows: th.Tensor  # index of each real transition in the rollout
 
 
+def as_tensor(array: Any) -> th.Tensor:
+    """Convert to a float32 tensor, whatever the environment's own type is."""
+    return th.from_numpy(np.asarray(array, np.float32))
+
+
+def env_major(tensor: th.Tensor) -> th.Tensor:
+    """Lay (t, n, ...) out as (n * t, ...), each environment's steps together."""
+    return tensor.transpose(0, 1).flatten(0, 1).contiguous()
+
+
 def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[tuple[int, int]]:
     """Cut an environment's transitions, from index ``first`` of the rollout on, into sequences of at most ``length``.
 
@@ -91,18 +101,9 @@ def advantages_and_returns(
 ) -> tuple[Floats, Floats]:
     """Estimate advantages and returns by generalised advantage estimation (Schulman et al. 2016, Eq. 16).
 
-    Time comes first; further axes, such as environments, are independent of each other. Sums are in double precision.
-
-    Args:
-        rewards: r_t, (t, ...).
-        values: V(s_t), (t, ...).
-        last_values: V of the state after the last step, (...); ignored where the last step ended an episode.
-        ends: Whether nothing that comes after the step counts, as its episode ended with it, (t, ...).
-        gamma: Discount.
-        lam: GAE's lambda.
-
-    Returns:
-        Advantages and returns (advantage plus value), (t, ...) each.
+    All are (t, ...): time comes first, further axes, such as environments, are independent of each other. ``ends`` says
+    after which steps nothing counts any more, as the episode ended; ``last_values`` (...) are of the state after the
+    last step, where it did not end one. Returns are advantage plus value. Sums are in double precision.
     """
     going_on = 1.0 - ends
     following = np.concatenate([values[1:], np.asarray(last_values)[None]])

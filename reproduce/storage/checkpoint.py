@@ -46,12 +46,9 @@ class Learner(Protocol):
 class Progress:
     """How far a training is, in counters."""
 
-    update: NonNegativeInt
-    """Updates done."""
-    steps: NonNegativeInt
-    """Environment steps done."""
-    seconds: NonNegativeFloat
-    """Seconds spent training, over all sessions."""
+    update: NonNegativeInt  # Updates done
+    steps: NonNegativeInt  # Environment steps done
+    seconds: NonNegativeFloat  # Seconds spent training, over all sessions
 
 
 def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:
@@ -74,11 +71,7 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
 
 
 def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
-    """Restore learners and random states.
-
-    Raises:
-        UserError: When there is no checkpoint, it is damaged, or it belongs to another configuration.
-    """
+    """Restore learners and random states; ``UserError`` without a whole checkpoint of this configuration."""
     path = folder / NAME
     tensors = read_tensors(path, LARGEST)
     meta = _read_meta(path)

@@ -30,12 +30,9 @@ Record = TypeVar("Record")
 class Spec:
     """All that is needed to build a network; subclasses add what else it is."""
 
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of each layer and of the LSTM, where it has one."""
+    observations: Units  # Size of the flat observation
+    actions: Units  # Size of the action
+    hidden_units: Units  # Units of each layer and of the LSTM, where it has one
 
     def build(self) -> Any:
         """Make a network of these sizes, not trained."""
@@ -43,13 +40,9 @@ class Spec:
 
 
 def save_policy(folder: Path, method: str, networks: Mapping[str, tuple[Spec, th.nn.Module]], config: Any) -> None:
-    """Write ``policy.safetensors`` and ``policy.json``.
+    """Write ``policy.safetensors`` and ``policy.json`` into a run folder.
 
-    Args:
-        folder: The run folder.
-        method: Name of the method.
-        networks: What acts, by level: how to build it, and it.
-        config: Record of all else that decides how it acts.
+    ``networks`` says of each level how to build it, and holds it; ``config`` is all else that decides how it acts.
     """
     tensors = {
         f"{level}.{name}": tensor.detach().contiguous().clone()
@@ -89,15 +82,10 @@ def _record(kind: type[Record], raw: Any, where: str) -> Record:
 
 
 def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: type[Spec]) -> dict[str, Any]:
-    """Build and fill the networks of a run folder.
+    """Build and fill the networks of a run folder, each described by a ``kind``.
 
-    Args:
-        folder: The run folder.
-        expected: For each level the sizes of observation and action that the method has.
-        kind: Record class that describes each network.
-
-    Raises:
-        UserError: On a missing or damaged file, a wrong name or a wrong shape.
+    ``expected`` are each level's sizes of observation and action. A missing or damaged file, a wrong name or a wrong
+    shape is a ``UserError``.
     """
     raw, path = read_policy_json(folder), folder / "policy.json"
     if set(raw["networks"]) != set(expected):

@@ -60,9 +60,7 @@ def die_with_parent() -> None:
 def end_with(parent: int, by: int = signal.SIGKILL) -> None:
     """Have the kernel send this process a signal when its parent ends: ``preexec_fn=partial(end_with, os.getpid())``.
 
-    Args:
-        parent: Process that starts this one; it may have ended before it could be watched.
-        by: The signal; one that can be caught leaves time to stop further processes.
+    The parent may have ended before it could be watched. A signal that can be caught leaves time to stop others.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, int(by), 0, 0, 0)
     if os.getppid() != parent:
@@ -72,22 +70,17 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
 def start_fork_server() -> None:
     """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
-    _keep_sockets_short()
+    chosen = tempfile.gettempdir()
+    if len(chosen) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
+        tempfile.tempdir = "/tmp"
+        util.get_temp_dir()
+        tempfile.tempdir = chosen
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
-
-
-def _keep_sockets_short() -> None:
-    """Have ``multiprocessing`` make the folder of its sockets in /tmp where TMPDIR is too long for them."""
-    chosen = tempfile.gettempdir()
-    if len(chosen) > _LONGEST_FOLDER:
-        tempfile.tempdir = "/tmp"
-        util.get_temp_dir()  # made once, remembered, and removed at the end
-        tempfile.tempdir = chosen
 
 
 def map_in_processes(
@@ -99,15 +92,8 @@ def map_in_processes(
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
-    Args:
-        job: Called in a worker; can be pickled.
-        items: What it is called with.
-        workers: Processes; None is one a core.
-        prepare: Called with ``arguments`` in each worker before its first job.
-        arguments: Can be pickled.
-
-    Raises:
-        RunFailedError: When a worker was killed or crashed.
+    There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
+    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
     """
     start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())

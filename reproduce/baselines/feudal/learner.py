@@ -22,21 +22,14 @@ from stable_baselines3.common.utils import FloatSchedule, explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from reproduce.baselines.feudal.config import FunConfig
-from reproduce.baselines.feudal.network import FunNetwork
-from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, as_tensor, env_major
-from reproduce.baselines.feudal.signals import directions, intrinsic_rewards
+from reproduce.baselines.feudal.network import FunConfig, FunNetwork
+from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, directions, intrinsic_rewards
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns
+from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns, as_tensor, env_major
 
 
 class FunPPO(SequencePPO):
-    """SequencePPO for Worker, with a Manager above it.
-
-    Attributes:
-        fun: What only this method has.
-        memory: What both levels remember of the episodes under way; emptied where one begins.
-    """
+    """SequencePPO for Worker, with a Manager above it; ``memory`` is what both remember of episodes under way."""
 
     policy: FunNetwork  # type: ignore[assignment]  # SB3 believes that every policy is its ActorCriticPolicy
     rollout_buffer: FunBuffer
@@ -70,8 +63,10 @@ class FunPPO(SequencePPO):
     ) -> bool:
         """Step the environments and fill the buffer; see SB3. False if the callback wants to stop."""
         self.policy.set_training_mode(False)
-        self._tail_observations = self._tail(self._tail_observations, as_tensor(self.rollout_buffer.observations))
-        self._tail_goals = self._tail(self._tail_goals, self.rollout_buffer.goals)
+        # The last c - 1 steps of the rollout before this one.
+        rollout = as_tensor(self.rollout_buffer.observations)
+        self._tail_observations = th.cat([self._tail_observations, rollout])[len(rollout) :]
+        self._tail_goals = th.cat([self._tail_goals, self.rollout_buffer.goals])[len(rollout) :]
         rollout_buffer.reset()
         callback.on_rollout_start()
         for _ in range(n_rollout_steps):
@@ -79,10 +74,6 @@ class FunPPO(SequencePPO):
                 return False
         callback.on_rollout_end()
         return True
-
-    def _tail(self, before: th.Tensor, rollout: th.Tensor) -> th.Tensor:
-        """Return the last c - 1 steps of a rollout that follows ``before``."""
-        return th.cat([before, rollout])[len(rollout) :]
 
     def _collect_step(self, env: VecEnv, callback: BaseCallback) -> bool:
         assert isinstance(self.action_space, spaces.Box)
@@ -130,10 +121,8 @@ class FunPPO(SequencePPO):
         ways, known = directions(states[c - 1 :], following, buffer.ends, c)
         worker, manager = self._returns(intrinsic)
         bounds, first_states = buffer.sequences()
-        transitions = {
-            **{name: getattr(buffer, name) for name in ("observations", "actions", "log_probs", "values")},
-            **{"advantages": worker[0], "returns": worker[1], "hidden": buffer.worker_states},
-        }
+        transitions = {name: getattr(buffer, name) for name in ("observations", "actions", "log_probs", "values")}
+        transitions |= {"advantages": worker[0], "returns": worker[1], "hidden": buffer.worker_states}
         levels = {
             "pooled": buffer.pooled,
             "directions": ways,

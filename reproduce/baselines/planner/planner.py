@@ -1,4 +1,4 @@
-"""Plan a whole rescue with full knowledge, trying it out in a copy of the environment before it is done."""
+"""`planner`: plans a whole rescue with full knowledge, trying it out in a copy of the simulator before it is done."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.planner.approach import ApproachPlanner
-from reproduce.baselines.planner.collision import CollisionChecker
+from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
-from reproduce.baselines.way_points import Variant, kind, load_way_points, vary
+from reproduce.baselines.scripted import VARIANTS as VARIANTS_FILE
+from reproduce.baselines.scripted import Variant, kind, load_way_points, vary
+from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 
 APPROACHES = 8  # ways tried out, at most
@@ -44,11 +44,7 @@ class RescuePlanner:
     """Plan scenes one after the other; the same scene gets the same plan."""
 
     def __init__(self, variants: int = VARIANTS, approaches: int = APPROACHES) -> None:
-        """Set the caps on what is tried out; the two simulations are started with the first scene.
-
-        Raises:
-            UserError: On a cap below 1.
-        """
+        """Set the caps, at least 1, on what is tried out; the two simulations are started with the first scene."""
         for name, value in (("variants", variants), ("approaches", approaches)):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")
@@ -139,3 +135,33 @@ def _variants(scene: Scene) -> Iterator[Variant]:
     rng = np.random.default_rng([abs(scene.seed), 2])
     for variant in cycle(listed):
         yield vary(variant, rng)
+
+
+class PlannerPolicy(Policy):
+    """Do what was planned for the scene, whatever is seen; one environment at a time."""
+
+    def __init__(self, planner: RescuePlanner | None = None) -> None:
+        """Plan with ``planner``, or one of its own."""
+        self._planner = planner or RescuePlanner()
+        self._step = 0
+        self._plan: Plan | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The plan for the present episode; ``UserError`` where no scene was given yet."""
+        if self._plan is None:
+            raise UserError("planner: needs the scene before it can act; call prepare(scene)")
+        return self._plan
+
+    def prepare(self, scene: Scene) -> None:
+        """Plan for the episode that is about to begin."""
+        self._plan, self._step = self._planner.plan(scene), 0
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``Policy.act``; past its end, the plan's last action goes on."""
+        actions = self.plan.actions
+        if len(observations) != 1:
+            raise UserError(f"planner: acts in one environment at a time, got observations of {len(observations)}")
+        action = actions[min(self._step, len(actions) - 1)]
+        self._step += 1
+        return action[None].copy()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from reproduce.baselines.planner.rrt import resample
-from reproduce.baselines.way_points import ARRIVED, Variant
+from reproduce.baselines.scripted import ARRIVED, Variant
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
