@@ -129,8 +129,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
-    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The summary goes
-    to ``json`` with the scenes' rows beside it, see ``rows.rows_path``; ``tell`` is called with it before that, so that
+    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The summary
+    goes to ``json`` with the rows beside it, see ``rows.rows_path``; ``tell`` is called with it before that, so that
     it is seen even where writing fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
