@@ -127,18 +127,14 @@ def evaluate(
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
-    Args:
-        where: Run folder, or name of a method that does not learn.
-        tests: Number of scenes.
-        first_seed: Seed of the first one.
-        quiet: Whether to leave the progress bar out.
-        ablation: What is taken out of the policy, see ``hrl_dcs.ablation``.
-        easy: Whether the scenes are the easy ones.
-        json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
-        tell: Called with the summary before it is written, so that it is seen even where that fails.
+    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The summary
+    goes to ``json`` with the rows beside it, see ``rows.rows_path``; ``tell`` is called with it before that, so that
+    it is seen even where writing fails.
     """
-    for path in (json, rows_path(json)) if json else ():
-        check_writable(path)
+    table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
+    for path in (json, table):
+        if path:
+            check_writable(path)
     begun = time.monotonic()
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
     seconds = time.monotonic() - begun
@@ -151,7 +147,8 @@ def evaluate(
     }
     if tell:
         tell(summary)
+    if table:
+        write_rows(table, rows)
     if json:
-        write_rows(rows_path(json), rows)
         write_json(json, summary)
     return summary

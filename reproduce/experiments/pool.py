@@ -43,14 +43,8 @@ def map_scenes(
 ) -> list[Row]:
     """Return a function's answers to all seeds, in their order, and show how far it has come meanwhile.
 
-    Args:
-        function: Called with a seed in a worker process; must pickle.
-        seeds: The scenes.
-        initializer: Called once in each worker, with ``arguments``, which must pickle.
-        arguments: For the initializer.
-        title: Text beside the progress bar.
-        workers: Number of processes; None is one a core.
-        quiet: Whether to leave the progress bar out.
+    ``function`` and what ``initializer`` is called with, once in each worker, must pickle; ``workers`` None is one a
+    core.
 
     Raises:
         RunFailedError: When a worker was killed or crashed.

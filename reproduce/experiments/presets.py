@@ -32,10 +32,7 @@ TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
 def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
     """Fill a method's configuration class with a preset.
 
-    Args:
-        kind: The method's class; what else the preset holds is not for it.
-        preset: Name of the preset.
-        changes: What differs from it, see ``changed``.
+    What else the preset holds is not for ``kind``; for ``changes`` see ``changed``.
 
     Raises:
         UserError: Where there is no such preset.

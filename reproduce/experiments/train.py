@@ -45,15 +45,8 @@ def train(
 ) -> pd.DataFrame:
     """Train a method and write its run folder; return the rows of ``progress.csv``.
 
-    Args:
-        method: What to train.
-        config: Its configuration.
-        seed: Of networks, scenes and minibatches.
-        folder: The run folder; no other training may be writing it.
-        preset: Name that the configuration comes from.
-        resume: Go on from the folder's checkpoint.
-        quiet: No progress bar.
-        tensorboard: Folder for TensorBoard's logs of what ``progress.csv`` holds, if wanted.
+    ``folder`` is the run folder, which no other training may be writing; ``preset`` names where ``config`` comes from;
+    ``resume`` goes on from the checkpoint; ``tensorboard`` is a folder for logs of what ``progress.csv`` holds.
 
     Raises:
         UserError: When the method does not learn, the folder holds a finished run or is another training's, or there

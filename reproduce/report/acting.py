@@ -38,11 +38,7 @@ class WatchedPolicy:
 def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
     """Load the policy and draw the scene of a rescue that is to be shown.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Seed of the scene.
-        posture: Draw the scene with this posture.
-        task: Draw the scene with this task.
+    ``where`` is a run folder, or a method that does not learn by its name.
     """
     if seed < 0:
         raise UserError(f"seed: expected at least 0, got {seed}")
@@ -55,11 +51,7 @@ def act_out(
 ) -> dict[str, Any]:
     """Act one rescue out while somebody looks on; return how it ended, as from ``run_episode``.
 
-    Args:
-        env: Where it is acted out; ``env.episode`` is what there is to be seen.
-        policy: Chooses the actions.
-        scene: The scene.
-        see: Called before each step with the sub-goals (2, 3) [m] or None and "", in the end with None and the ending.
+    ``see`` is called before each step with the sub-goals (2, 3) [m] or None and ""; at the end, None and the ending.
     """
     row = run_episode(env, WatchedPolicy(policy, lambda subgoals: see(subgoals, "")), scene)
     see(None, ending(row))

@@ -42,8 +42,7 @@ def reference_run(method: str, seed: int | None = None, results: Path = RESULTS)
 def card(run: Run) -> str:
     """Return a model card in Markdown, with the head that model hubs read.
 
-    Args:
-        run: A reference run with ``run.json``.
+    The run is a reference run with ``run.json``.
     """
     rows, conditions, weakest = run.rows(), None, None
     if rows is not None:

@@ -56,9 +56,7 @@ def mark_mathematics(text: str, pieces: dict[str, str], prefix: str) -> str:
 def notebook_page(path: Path, failed: Path | None = None) -> Page:
     """Make a page of an executed notebook.
 
-    Args:
-        path: The executed notebook.
-        failed: What is left of a later run that stopped before its end; the page then says so.
+    ``failed`` is what is left of a later run that stopped before its end; the page then says so.
     """
     document = nbformat.read(path, as_version=4)
     pieces: dict[str, str] = {}

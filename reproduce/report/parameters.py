@@ -45,9 +45,7 @@ def check_value(name: str, value: Any, default: Any) -> None:
 def check(namespace: dict[str, Any], *names: str) -> None:
     """Check the parameters of the notebook that calls this in its first cell after the parameters.
 
-    Args:
-        namespace: The notebook's ``globals()``.
-        names: The notebook's own parameters.
+    ``namespace`` is the notebook's ``globals()``, ``names`` are its own parameters.
 
     Raises:
         UserError: On a value out of range, or a name that the notebook does not have.

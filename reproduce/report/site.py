@@ -37,10 +37,7 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
 
     The site is built beside and put in place at the end, so a failure leaves the old one.
 
-    Args:
-        notebooks: Folder of executed notebooks.
-        results: Folder of results.
-        replays: Whether to make the 3D replays, a minute's work.
+    ``notebooks`` and ``results`` are folders; ``replays`` makes the 3D replays, a minute's work.
     """
     runs = reference_runs(results)
     results = results.resolve()

@@ -39,14 +39,8 @@ def watch(
 ) -> None:
     """Play rescues one after another in the browser, from the scene of ``seed`` on, until interrupted.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Seed of the first scene.
-        rescues: How many, or 0 for no end.
-        posture: Draw scenes with this posture.
-        task: Draw scenes with this task.
-        port: Port of the page on this machine; 0 takes a free one.
-        tell: Called with the page's address, then with a line about each rescue.
+    ``where`` is a run folder or a method that does not learn; ``seed`` is the first scene's; 0 ``rescues`` never end,
+    and ``port`` 0 is a free one. ``tell`` is called with the page's address, then with a line about each rescue.
 
     Raises:
         UserError: On a wrong argument, or a port that is taken.

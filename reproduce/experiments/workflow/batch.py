@@ -40,14 +40,9 @@ def run_batch(
 ) -> None:
     """Do what of a plan is not done yet.
 
-    Args:
-        plan: What to do.
-        out: Folder of the batch, laid out as results/ is.
-        profile: ``local``, ``slurm`` or a folder with a Snakemake profile.
-        slots: Steps at once.
-        until: One of ``TARGETS``.
-        dry_run: Only say what is left.
-        echo: Takes lines for people.
+    ``out`` is laid out as results/ is; ``profile`` is ``local``, ``slurm`` or a folder with a Snakemake profile;
+    ``slots`` are steps at once; ``until`` is one of ``TARGETS``; ``dry_run`` only says what is left; ``echo`` takes
+    lines for people.
 
     Raises:
         UserError: When the folder cannot be written or belongs to another batch under way.
