@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
+.PHONY: help setup reproduce test test-fast test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -26,13 +26,13 @@ reproduce: $(STAMP)  ## the main job in its short form: train, run the notebooks
 	$(BIN)/reproduce claims --json results/report/claims.json
 	@echo "report: results/report/index.html"
 
-test: $(STAMP)  ## lint, types and tests (under 15 minutes on 2 cores)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -q -m "not slow and not browser"
+test: lint  ## lint, types and tests (under 10 minutes on 2 cores)
+	$(BIN)/python -m pytest -q -n 2 --durations=20 -m "not slow and not browser"
 
-test-slow: $(STAMP)  ## learning tests and long physics runs
+test-fast: $(STAMP)  ## the tests that start no process and train nothing (a minute or two on 2 cores)
+	$(BIN)/python -m pytest -q -n 2 -m "not slow and not browser and not process"
+
+test-slow: $(STAMP)  ## learning tests, kills, the soak and long physics runs
 	$(BIN)/python -m pytest -q -m slow
 
 test-report: $(STAMP)  ## open every page of results/report in headless Chromium, which Debian's package chromium brings

@@ -6,8 +6,6 @@ Nothing of the rescue is used. The goal space is the motion of the pendulum, (co
 how it should move, LLN makes it. FeUdal Networks learn their goal space by themselves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.network import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
 from reproduce.hrl_dcs.config import HierarchicalConfig, HierarchyConfig
 from reproduce.hrl_dcs.goals import PlainGoals
@@ -50,19 +48,10 @@ def make_environments() -> DummyVecEnv:
 
 def configuration(steps: int) -> HierarchicalConfig:
     """Return a configuration of small networks and short rollouts for ``steps`` environment steps."""
-    low = LearnerConfig(
-        n_steps=200,
-        batch_size=400,
-        n_epochs=8,
-        learning_rate=1e-3,
-        gamma=0.95,
-        gae_lambda=0.9,
-        hidden_units=32,
-        log_std_init=-0.5,
-    )
+    small = LearnerConfig(n_steps=200, batch_size=400, n_epochs=8, hidden_units=32)
+    low = replace(small, learning_rate=1e-3, gamma=0.95, gae_lambda=0.9, log_std_init=-0.5)
     high = replace(low, batch_size=80, sequence_length=16)
-    hierarchy = HierarchyConfig(interval=5, sgn_every=1)
-    return HierarchicalConfig(steps, ENVS, low=low, high=high, hierarchy=hierarchy)
+    return HierarchicalConfig(steps, ENVS, low=low, high=high, hierarchy=HierarchyConfig(interval=5, sgn_every=1))
 
 
 def two_layers(steps: int, seed: int = 0) -> list[float]:
@@ -81,12 +70,8 @@ def feudal(steps: int, seed: int = 0) -> list[float]:
     set_random_seed(seed)
     venv, config = VecMonitor(make_environments()), configuration(steps)
     venv.seed(seed)
-    learner = make_fun_learner(
-        venv,
-        config.low,
-        FunConfig(goal_size=32, embedding_size=8, horizon=5, intrinsic_weight=0.02, manager_gamma=0.95),
-        seed,
-    )
+    fun = FunConfig(goal_size=32, embedding_size=8, horizon=5, intrinsic_weight=0.02, manager_gamma=0.95)
+    learner = make_fun_learner(venv, config.low, fun, seed)
     callback = start_collecting(learner, steps)
 
     def update(done: int) -> float:

@@ -1,7 +1,5 @@
 """The command line: ``reproduce`` or ``python -m reproduce``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,15 +51,25 @@ def train(
 def evaluate(
     run: console.Policy,
     tests: console.Tests = 1000,
-    first_seed: console.FirstSeed = 0,
+    split: console.Split = "validation",
+    first_seed: console.FirstSeed = None,
     ablation: Annotated[str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     json: console.JsonFile = None,
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
     from reproduce.experiments.evaluate import evaluate as test
+    from reproduce.experiments.pool import first_scene
 
-    test(run, tests, first_seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation)
+    test(
+        run,
+        tests,
+        first_scene(split, first_seed, typer.echo),
+        ablation=ablation,
+        easy=easy,
+        json=json,
+        tell=_print_evaluation,
+    )
 
 
 @app.command("evaluate-reference")
@@ -164,7 +172,7 @@ def notebooks(
 @app.command("report")
 def build(replays: console.Replays = True) -> None:
     """Build the report from the notebooks that were run."""
-    from reproduce.report import build_report
+    from reproduce.report.site import build_report
     from reproduce.storage.paths import RESULTS
 
     typer.echo(f"{build_report(RESULTS / 'notebooks', RESULTS, replays)}: report written")
@@ -243,14 +251,31 @@ def bench(
 @app.command()
 def solvable(
     tests: console.Tests = 500,
-    first_seed: console.FirstSeed = 0,
+    split: console.Split = "validation",
+    first_seed: console.FirstSeed = None,
     variants: Annotated[int, typer.Option(min=1, help="most lifts or turns tried out for a scene")] = 40,
     json: console.JsonFile = None,
 ) -> None:
     """Measure which scenes can be solved at all, by a planner that knows everything; writes results/solvability/."""
+    from reproduce.experiments.pool import first_scene
     from reproduce.experiments.solvability import measure_solvability, print_solvability
 
-    print_solvability(measure_solvability(tests, first_seed, variants=variants, json=json), typer.echo)
+    print_solvability(
+        measure_solvability(tests, first_scene(split, first_seed, typer.echo), variants=variants, json=json), typer.echo
+    )
+
+
+@app.command()
+def convergence(
+    actors: Annotated[list[str], typer.Argument(help="run folders, methods that do not learn, and plans")],
+    tests: console.Tests = 400,
+    out: Annotated[Path | None, console.folder("folder to write; results/convergence without it")] = None,
+) -> None:
+    """Compare solver settings on validation scenes: success, overlaps, force balance and what a step costs."""
+    from reproduce.experiments.convergence import FOLDER, measure_convergence
+    from reproduce.experiments.pool import first_scene
+
+    measure_convergence(actors, tests, first_scene("validation", None, typer.echo), folder=out or FOLDER)
 
 
 @app.command()

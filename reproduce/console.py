@@ -1,7 +1,5 @@
 """What all commands share: options, whose paths are checked before any work begins, and how a command ends."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys
@@ -40,7 +38,9 @@ def folder(words: str) -> Any:
 Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
 Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")]
 Tests = Annotated[int, typer.Option(min=1, help="number of scenes")]
-FirstSeed = Annotated[int, typer.Option(min=0, help="first scene; test scenes begin at 0, held-out ones at 2000000")]
+SPLIT = "validation, validation-heldout, train, or for final figures test, heldout: where scenes are from"
+Split = Annotated[str, typer.Option(help=SPLIT)]
+FirstSeed = Annotated[int | None, typer.Option(min=0, help="first scene; the split's first one without it")]
 SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
 Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
 Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]

@@ -25,6 +25,7 @@ def tally(rate: float, inside: float = 0.5) -> Tally:
     return Tally(steps=1000, resets=10, stepping=1000 / rate, resetting=200 / rate, inside=inside * 1000 / rate)
 
 
+@pytest.mark.process
 def test_the_environment_part_measures_and_is_flat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "MAX_STEPS", 5)
     monkeypatch.setitem(sys.modules, "panda_gym", None)  # as if it were not installed
@@ -73,6 +74,7 @@ def test_parts_run_alone_or_together(monkeypatch: pytest.MonkeyPatch) -> None:
         measure("physics")
 
 
+@pytest.mark.process
 def test_the_training_part_measures_ours_beside_stock_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     small = {"steps": 10_000, "n_envs": 2, "low.n_steps": 24, "low.batch_size": 32, "low.n_epochs": 1}
     monkeypatch.setitem(PRESETS, "laptop", {**PRESETS["smoke"], **small, "high.n_epochs": 1})

@@ -81,6 +81,7 @@ def test_arms_that_touched_each_other_leave_nothing_behind(seed: int, env: Lunar
         fresh.close()
 
 
+@pytest.mark.process
 def test_in_another_process(reference: list[str]) -> None:
     code = "import sys; sys.path.insert(0, 'tests'); from test_determinism import digests; print(*digests())"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -96,6 +97,7 @@ def test_in_a_renewed_world(reference: list[str], monkeypatch: pytest.MonkeyPatc
     assert digests() == reference
 
 
+@pytest.mark.process
 def test_sixteen_environments_step_as_one_does() -> None:
     count, steps, run_seed = 16, 12, 5
     actions = np.random.default_rng(1).uniform(-1, 1, (steps, count, JOINTS)).astype(np.float32)

@@ -25,14 +25,11 @@ from torch.nn import functional
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.feudal.config import FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.levels import DilatedLSTM
-from reproduce.baselines.feudal.network import FunNetwork, FunSpec
-from reproduce.baselines.feudal.policy import LEVEL, FunPolicy, load_feudal_policy
-from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout
-from reproduce.baselines.feudal.signals import directions
-from reproduce.baselines.feudal.training import FunTraining
+from reproduce.baselines.feudal.network import FunConfig, FunNetwork, FunSpec
+from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, directions
+from reproduce.baselines.feudal.training import LEVEL, FunPolicy, FunTraining, load_feudal_policy
 from reproduce.experiments.methods import METHODS
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.sequence_ppo import SequencePPO
@@ -517,6 +514,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         FunNetwork(spaces.Box(0.0, 1.0, (4, 4), np.float32), box, lambda _: 0.0)
 
 
+@pytest.mark.process
 def test_it_trains_on_the_rescue() -> None:
     smoke = METHODS["fun"].config("smoke")
     low = replace(smoke.low, n_steps=16, batch_size=16, n_epochs=1, hidden_units=16)

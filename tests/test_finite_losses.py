@@ -14,10 +14,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from reproduce.baselines.config import SacConfig
-from reproduce.baselines.feudal.config import FunConfig
+from reproduce.baselines.feudal.network import FunConfig
 from reproduce.baselines.feudal.training import make_fun_learner
-from reproduce.baselines.sac import make_sac
+from reproduce.baselines.sac import SacConfig, make_sac
 from reproduce.experiments.methods import METHODS
 from reproduce.learning.config import LearnerConfig
 from reproduce.learning.training import Training, make_learner, start_collecting

@@ -156,6 +156,7 @@ def test_zero_output_holds_the_arms_still(env: LunarRescueEnv) -> None:
     assert action - before == pytest.approx(np.full(11, LARGEST_CHANGE), abs=1e-5)
 
 
+@pytest.mark.process
 def test_both_layers_learn_from_the_same_steps(training: HierarchicalTraining) -> None:
     before = {name: [p.detach().clone() for p in one.policy.parameters()] for name, one in training.learners.items()}
     for update in range(training.config.hierarchy.sgn_every):
@@ -251,16 +252,19 @@ def test_acting_in_a_batch_keeps_memories_apart() -> None:
             assert single == pytest.approx(batch[t][env], abs=1e-5)
 
 
+@pytest.mark.process
 def test_scripted_rescues_most_scenes() -> None:
     """60 % of all scenes is the bar; with 40 tests a method at 79 % falls under 22 successes less than once in 1000."""
     rows = rescue_scenes("scripted", 40, quiet=True)
     assert sum(row["success"] for row in rows) >= 22
 
 
+@pytest.mark.process
 def test_random_actions_rescue_nobody() -> None:
     assert not any(row["success"] for row in rescue_scenes("random", 10, quiet=True))
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_workers_step_the_same_whatever_their_number(workers: int) -> None:
     venv = WorkerVecEnv(3, seed=5, workers=workers)
@@ -282,6 +286,7 @@ def test_workers_step_the_same_whatever_their_number(workers: int) -> None:
 _REFERENCE: dict[str, float] = {}
 
 
+@pytest.mark.process
 def test_a_dead_worker_is_an_error_and_not_a_hang() -> None:
     venv = WorkerVecEnv(2, seed=0, workers=2)
     try:

@@ -13,10 +13,9 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from reproduce.learning.networks import RecurrentNetwork
+from reproduce.learning.networks import RecurrentNetwork, Standardiser
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.sequences import Rollout, advantages_and_returns, minibatches, sequence_bounds
-from reproduce.learning.standardiser import Standardiser
 
 
 class Recall(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -93,6 +92,7 @@ def test_losses_and_gradients_equal_the_stock_learners() -> None:
             assert th.allclose(mine[name], parameter.grad, atol=1e-5), name
 
 
+@pytest.mark.process
 def test_a_memory_task_is_solved() -> None:
     learner = make(SequencePPO, sequence_length=6, learning_rate=3e-3, n_epochs=8)
     learner.learn(8_000)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch as th
 from safetensors.torch import load_file
@@ -35,25 +36,26 @@ class Stop(Exception):
 
 #: What makes a training of a second of the smoke preset, by part of the configuration.
 SMALL: dict[str, dict[str, Any]] = {
-    "sac": {"learning_starts": 256, "batch_size": 16, "hidden_units": 16, "buffer_size": 1024},
+    "sac": {"learning_starts": 256, "batch_size": 16, "hidden_units": 16, "buffer_size": 600},
     "fun": {"goal_size": 16, "embedding_size": 4, "horizon": 5},
     "low": {"n_epochs": 1},
 }
 
 
 def _small(name: str) -> Any:
-    config = replace(METHODS[name].config("smoke"), steps=1536, n_envs=4, checkpoint_every=2)
+    config = replace(METHODS[name].config("smoke"), steps=768, n_envs=4, checkpoint_every=2)
     parts = {part: changes for part, changes in SMALL.items() if hasattr(config, part)}
     return changed(config, {f"{part}.{key}": value for part, own in parts.items() for key, value in own.items()})
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("name", LEARNING)
 def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, method, parts = _small(name), METHODS[name], tmp_path / "parts"
     curve = train(method, config, 3, tmp_path / "whole", "smoke", quiet=True)
-    assert curve["env_steps"].iloc[-1] == 1536
+    assert curve["env_steps"].iloc[-1] == 768 and np.isfinite(curve["seconds"]).all()
     save = training.save_checkpoint
 
     def save_and_stop(*args: object) -> None:
@@ -71,10 +73,13 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     first, second = (load_file(folder / "policy.safetensors") for folder in (tmp_path / "whole", parts))
     assert first and all(th.equal(first[key], second[key]) for key in first)
 
-    assert evaluate(parts, 2, quiet=True)["tests"] == 2
-    frames, row = film(parts, 0)
+    rows = tmp_path / "evaluation.json"
+    assert evaluate(parts, 2, quiet=True, json=rows)["tests"] == 2
+    assert list(pd.read_csv(rows.with_suffix(".csv"))["seed"]) == [0, 1]
+    frames, row = film(parts, 0, size=(160, 112))
     assert len(frames) > 1 and row["posture"]
-    _, policy = load_policy(parts)
+    loaded, policy = load_policy(parts)
+    assert loaded.name == name
     seen, starts = np.zeros((3, SIZE), np.float32), np.ones(3, bool)
     actions = policy.act(seen, starts)
     assert actions.shape == (3, JOINTS) and np.abs(actions).max() <= 1.0
@@ -82,6 +87,7 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     assert np.array_equal(fresh.act(seen, np.zeros(3, bool)), actions)  # the first call begins an episode by itself
 
 
+@pytest.mark.process
 def test_sac_learns_while_its_environments_step(monkeypatch: pytest.MonkeyPatch) -> None:
     config = _small("sac")
     held: list[tuple[int, int]] = []
@@ -118,6 +124,7 @@ def test_the_ablation_changes_the_obstacle_reward_and_nothing_else() -> None:
     assert METHODS["hrl_dcs"].act is METHODS["hrl_dcs_no_aapf"].act
 
 
+@pytest.mark.process
 def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
     found = {}
     for kind in ("aapf", "contact"):

@@ -87,6 +87,7 @@ def test_names_and_values_are_refused_before_anything_runs() -> None:
         find_notebooks("17")
 
 
+@pytest.mark.process
 def test_papermill_alone_refuses_them_too(tmp_path: Path) -> None:
     with pytest.raises(PapermillExecutionError, match="sed: no parameter of this notebook"):
         papermill.execute_notebook(
@@ -106,6 +107,7 @@ print(RESULTS.is_absolute(), RESULTS.name, os.environ.get("STARTED"))
 plt.plot([tests, 1]);"""
 
 
+@pytest.mark.process
 def test_the_kernel_has_our_surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_notebook(tmp_path / "notebooks", "01_plot", PLOT)
     profile = tmp_path / "ipython" / "profile_default" / "startup"
@@ -126,6 +128,7 @@ def test_the_kernel_has_our_surroundings(tmp_path: Path, monkeypatch: pytest.Mon
     assert os.environ["MPLBACKEND"] == "Agg", "the command's own surroundings are as before"
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("cell", "words"),
     [
@@ -142,6 +145,7 @@ def test_a_notebook_that_fails_is_named_with_its_cell(tmp_path: Path, cell: str,
     assert stopped_at(left) == 3 and not is_complete(left)
 
 
+@pytest.mark.process
 def test_a_command_says_where_notebooks_went_and_nothing_else(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "reproduce", "notebooks", "--only", "06", "--no-report"],

@@ -129,6 +129,7 @@ def test_relief_is_as_high_as_the_data_say(env: LunarRescueEnv) -> None:
     assert found > 300
 
 
+@pytest.mark.process
 def test_no_joint_exceeds_torque_or_speed_in_10000_random_steps(env: LunarRescueEnv) -> None:
     rng = np.random.default_rng(0)
     worst_torque, worst_speed, done = 0.0, 0.0, True
@@ -159,6 +160,7 @@ def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
             assert points[SHOULDER] == pytest.approx(seen[arm.links][0], abs=1e-6)
 
 
+@pytest.mark.process
 def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueEnv) -> None:
     found = 0
     for seed in range(40):

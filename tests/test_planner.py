@@ -12,11 +12,10 @@ import pytest
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.physics.kinematics import END, ArmChain, solve_arm, solve_arms
 from lunar_rescue.physics.robot import ARMS, WAIST
-from reproduce.baselines.planner.collision import CollisionChecker
-from reproduce.baselines.planner.planner import RescuePlanner
-from reproduce.baselines.planner.policy import PlannerPolicy
+from reproduce.baselines.planner.approach import CollisionChecker
+from reproduce.baselines.planner.planner import PlannerPolicy, RescuePlanner
 from reproduce.baselines.planner.rrt import connect, length, path_is_free, resample, shortcut
-from reproduce.baselines.way_points import SCRIPT, VARIANTS, WayPoint, load_way_points
+from reproduce.baselines.scripted import SCRIPT, VARIANTS, WayPoint, load_way_points
 from reproduce.experiments.evaluate import run_episode
 from reproduce.experiments.solvability import measure_solvability, solve_scene, summarise_solvability
 from reproduce.storage.errors import UserError
@@ -127,6 +126,7 @@ def test_collision_check_sees_rocks_and_keeps_away_from_them(checker: CollisionC
 
 
 # -- whole plans -------------------------------------------------------------------------------------------------------
+@pytest.mark.process
 def test_same_scene_same_plan(planner: RescuePlanner) -> None:
     scene = sample_scene(TRAIN_SEEDS[0])
     first = planner.plan(scene)
@@ -154,6 +154,7 @@ def test_planner_gets_both_arms_under_without_touching_a_rock(
     assert info["both_arms_under"]
 
 
+@pytest.mark.process
 def test_solvability_writes_rows_summary_and_origin(tmp_path: Path) -> None:
     summary = measure_solvability(2, TRAIN_SEEDS[0], variants=3, folder=tmp_path, json=tmp_path / "x.json", quiet=True)
     assert (

@@ -47,6 +47,7 @@ def start(folder: Path) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("whole_group", [False, True])
 def test_a_signal_ends_a_command_and_its_workers_without_a_word(number: int, whole_group: bool, tmp_path: Path) -> None:
@@ -57,6 +58,7 @@ def test_a_signal_ends_a_command_and_its_workers_without_a_word(number: int, who
     assert nobody_left(process.pid)
 
 
+@pytest.mark.process
 def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path) -> None:
     process = start(tmp_path)
     assert len(alive(process.pid)) >= 4  # the command, the fork server, two workers
@@ -65,6 +67,7 @@ def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path) -> None:
     assert nobody_left(process.pid)
 
 
+@pytest.mark.process
 def test_a_process_without_python_ends_with_its_parent_too(tmp_path: Path) -> None:
     code = (
         "import os, subprocess, time; from functools import partial; from reproduce.storage.processes import end_with\n"
@@ -79,12 +82,14 @@ def test_a_process_without_python_ends_with_its_parent_too(tmp_path: Path) -> No
     assert nobody_left(process.pid)
 
 
+@pytest.mark.process
 def test_a_process_whose_parent_has_gone_before_it_began_ends_at_once() -> None:
     somebody_else = os.getppid()
     process = subprocess.Popen(["sleep", "600"], preexec_fn=partial(end_with, somebody_else))
     assert process.wait(timeout=20) == -signal.SIGKILL
 
 
+@pytest.mark.process
 def test_answers_come_in_order_and_a_worker_that_dies_is_named() -> None:
     assert list(map_in_processes(abs, [-3, 2, -1], workers=2)) == [3, 2, 1]
     with pytest.raises(RunFailedError, match="worker process was killed or crashed"):

@@ -67,6 +67,7 @@ def _record(folder: Path, first: int) -> None:
         record_origin(folder / f"{number}.csv")
 
 
+@pytest.mark.process
 def test_two_writers_of_origins_lose_none(tmp_path: Path) -> None:
     context = multiprocessing.get_context("fork")
     processes = [context.Process(target=_record, args=(tmp_path, first)) for first in (0, 10)]

@@ -48,6 +48,7 @@ def _with_rocks(env: LunarRescueEnv) -> None:
     env.reset_flat(options={"scene": sample_scene(seed)})
 
 
+@pytest.mark.process
 def test_pictures_change_nothing_bit_for_bit(env: LunarRescueEnv) -> None:
     """The same actions give the same trajectory whether pictures are taken or not."""
     actions = np.random.default_rng(0).uniform(-1, 1, (40, 11))

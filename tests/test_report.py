@@ -17,10 +17,10 @@ from reproduce.analysis.runs import reference_runs
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
-from reproduce.report import build_report
 from reproduce.report.cards import card, export, reference_run
 from reproduce.report.gallery import choose_clips
 from reproduce.report.notebook import fill_in, notebook_page
+from reproduce.report.site import build_report
 from reproduce.report.viewer import LARGEST, record, write_replay
 from reproduce.storage.errors import UserError
 
@@ -58,6 +58,19 @@ def test_a_notebook_becomes_a_page_with_code_folded_and_pictures_described(tmp_p
     assert "notebooks/01_try.ipynb, cell 2" in text
 
 
+def test_a_page_of_an_earlier_run_says_so(tmp_path: Path) -> None:
+    page = executed(tmp_path / "notebooks" / "01_try.ipynb")
+    assert "earlier run" not in notebook_page(page).text
+    shutil.copyfile(page, page.with_name("01_try.failed.ipynb"))
+    first = build_report(page.parent, tmp_path, replays=False)
+    text = first.with_name("01_try.html").read_text()
+    warning = text[text.index("From an earlier run") :]
+    assert "notebooks/01_try.failed.ipynb" in warning and "finished 2026-01-01T00:00:00" in warning
+    assert not first.with_name("01_try.failed.html").exists() and "01_try.failed.html" not in first.read_text()
+    page.with_name("01_try.failed.ipynb").unlink()
+    assert "earlier run" not in build_report(page.parent, tmp_path, replays=False).with_name("01_try.html").read_text()
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with one trained and tested policy."""
@@ -71,6 +84,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results
 
 
+@pytest.mark.process
 def test_training_logs_for_tensorboard(results: Path) -> None:
     events = EventAccumulator(str(results / "scratch" / "tensorboard"))
     events.Reload()
@@ -78,6 +92,7 @@ def test_training_logs_for_tensorboard(results: Path) -> None:
     assert steps and steps[-1] == 512
 
 
+@pytest.mark.process
 def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) -> None:
     first = build_report(results / "notebooks", results, replays=False)
     site = first.parent
@@ -121,6 +136,7 @@ def test_clips_show_a_success_and_a_failure_of_each_method_and_every_posture(
     assert len({clip.file for clip in clips}) == len(clips)
 
 
+@pytest.mark.process
 def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None:
     run = reference_run("ppo_lstm", results=results)
     text = card(run)

@@ -92,6 +92,7 @@ def test_files_without_rows_are_refused(tmp_path: Path) -> None:
         read_rows(tmp_path / "y.csv")
 
 
+@pytest.mark.process
 def test_an_evaluation_leaves_rows_beside_its_summary(tmp_path: Path) -> None:
     summary = evaluate("random", 3, quiet=True, json=tmp_path / "a" / "evaluation.json")
     rows = read_rows(tmp_path / "a" / "evaluation.csv")

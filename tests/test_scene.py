@@ -16,7 +16,7 @@ from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import BOUND
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.postures import DATA_FILE, Posture, all_postures, load_postures, postures
-from lunar_rescue.scenes.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock
+from lunar_rescue.scenes.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock, rock_marks
 from lunar_rescue.scenes.scene import (
     BASE_RANGE,
     FRICTION_RANGE,
@@ -59,7 +59,7 @@ def test_rocks_are_half_buried_and_marked() -> None:
     rocks = [rock for seed in range(60) for rock in sample_scene(seed).rocks]
     assert rocks
     for rock in rocks:
-        vertices, marks = rock.vertices(), rock.marks()
+        vertices, marks = rock.vertices(), rock_marks([rock])
         assert vertices[:, 2].min() < rock.ground < vertices[:, 2].max()
         assert marks.shape == (5, 3)
         assert marks[0, 2] == vertices[:, 2].max()
@@ -394,6 +394,7 @@ def test_mass_properties_of_a_straight_suit() -> None:
     # By hand: the centre of gravity is the mass-weighted mean of the parts' centres.
     expected = sum(p.mass_fraction * np.array(p.position) for p in parts)
     assert properties.centre == pytest.approx(expected)
+    assert sum(p.mass_fraction for p in parts) == pytest.approx(1.0)
     assert abs(properties.centre[1]) < 1e-9  # the posture is symmetric
     assert np.all(np.diff(properties.inertia) >= 0) and properties.inertia[0] > 0.01
 

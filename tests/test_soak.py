@@ -99,6 +99,7 @@ def soak(env: LunarRescueEnv, steps: int, every: int = 0) -> tuple[Counter[tuple
     return kinds, memory
 
 
+@pytest.mark.process
 def test_a_short_run_meets_many_scenes_and_no_fault(env: LunarRescueEnv) -> None:
     kinds, _ = soak(env, 3000)
     assert sum(kinds.values()) > 10

@@ -46,6 +46,7 @@ def _run(code: str, *arguments: str, **surroundings: str) -> str:
     return ran.stdout
 
 
+@pytest.mark.process
 def test_a_decimal_comma_changes_nothing(tmp_path: Path) -> None:
     if shutil.which("localedef") is None:
         pytest.skip("no localedef to make a German locale with")
@@ -72,6 +73,7 @@ except RuntimeError as error:
     assert "joint 'A_shoulder_pitch': expected limits [" in _run(code)
 
 
+@pytest.mark.process
 def test_environments_made_in_threads_leave_stdout_alone() -> None:
     code = """
 import os, threading
@@ -89,6 +91,7 @@ print("still here")
     assert _run(code).strip() == "still here"
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("closed", ["sys.stdout = sys.stderr = None", "sys.stdout.close()", "os.close(1); os.close(2)"])
 def test_closed_streams_are_met(closed: str, tmp_path: Path) -> None:
     code = f"""
@@ -103,3 +106,18 @@ os._exit(0)
 """
     _run(code, str(tmp_path / "answer"))
     assert (tmp_path / "answer").read_text() == "done"
+
+
+@pytest.mark.process
+def test_workers_start_without_a_home_and_with_a_long_temporary_folder(tmp_path: Path) -> None:
+    """The path of a socket has 107 characters at most, and the fork server's lies in TMPDIR."""
+    folder = tmp_path / ("long" * 50)
+    folder.mkdir()
+    code = (
+        "import os; from reproduce.experiments.evaluate import rescue_scenes\n"
+        "del os.environ['HOME']\n"
+        "if __name__ == '__main__':\n"
+        "    print([row['seed'] for row in rescue_scenes('random', 2, workers=2, quiet=True)])"
+    )
+    assert _run(code, TMPDIR=str(folder)) == "[0, 1]\n"
+    assert not list(folder.iterdir())

@@ -33,6 +33,7 @@ def test_a_trial_of_a_setting_that_is_not_there_is_refused() -> None:
             changed(config, {where: 1.0})
 
 
+@pytest.mark.process
 def test_trials_are_made_once_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first: dict[str, Any] = {"one": {}}
     second = {"two": {"low.n_epochs": 1}}

@@ -77,6 +77,7 @@ def test_watch_refuses_what_makes_no_sense() -> None:
                 watch("scripted", tell=lambda _: None, **{"port": 0, **arguments})
 
 
+@pytest.mark.process
 def test_ctrl_c_ends_watch_in_one_line() -> None:
     command = [sys.executable, "-m", "reproduce", "watch", "scripted", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -87,6 +88,7 @@ def test_ctrl_c_ends_watch_in_one_line() -> None:
         assert len(process.stderr.read().strip().splitlines()) == 1
 
 
+@pytest.mark.process
 def test_a_replay_takes_endings_in_capitals_and_checks_the_place_first(tmp_path: Path) -> None:
     row = replay("random", 3, tmp_path / "X.PNG", size=(128, 128))
     assert (tmp_path / "X.PNG").stat().st_size > 1000 and "success" in row

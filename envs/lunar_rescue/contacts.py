@@ -1,7 +1,5 @@
 """What touches what in an episode, and how near the arms are to the rocks."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

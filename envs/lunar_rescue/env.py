@@ -1,7 +1,5 @@
 """``LunarRescue-v0``: the multi-objective Markov decision process of section 2.1 as a Gymnasium environment."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import TYPE_CHECKING, Any, ClassVar

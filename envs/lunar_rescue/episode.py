@@ -1,7 +1,5 @@
 """How an episode begins, what it remembers besides the simulation's state, and the distances its rewards use."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

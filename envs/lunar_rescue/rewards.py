@@ -4,8 +4,6 @@
 is the sum over the table.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The two tasks (I) and the two processes of section 4.1: when an episode succeeds, fails or runs out of time."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -22,8 +22,6 @@ Fewer trainings than ``ENOUGH_SEEDS``, tests a training than ``ENOUGH_TESTS`` or
 runs a claim is ``inconclusive``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path

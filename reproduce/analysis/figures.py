@@ -1,7 +1,5 @@
 """Figures of the notebooks; each takes data and returns a Matplotlib figure."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from contextlib import closing
@@ -61,13 +59,9 @@ def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> N
 def first_pictures(
     scenes: Sequence[tuple[str, Scene]], turn: float = TURN, astronaut: bool = False, size: tuple[int, int] = (320, 240)
 ) -> list[tuple[str, NDArray[np.uint8]]]:
-    """Return a picture of the beginning of each scene, with the titles that came with them.
+    """Return each title with a picture, ``size`` (width, height) [px], of its scene's beginning.
 
-    Args:
-        scenes: Titles and scenes.
-        turn: Camera beside the line from robot to astronaut [deg].
-        astronaut: Whether the camera looks at the astronaut, and not between them and the robot.
-        size: Width and height [px].
+    The camera stands ``turn`` [deg] beside the line from robot to astronaut; ``astronaut`` has it look at them alone.
     """
     pictures = []
     with closing(LunarRescueEnv()) as env, closing(Studio()) as studio:
@@ -120,13 +114,9 @@ def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
 
 
 def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, height: float = 0.05) -> Figure:
-    """Draw F2, the AAPF term of one point moved over the ground, with joints, mark points and the body.
+    """Draw F2, the AAPF term of one point moved over the ground at ``height`` [m], with mark points and the body.
 
-    Args:
-        scene: With at least one rock.
-        joints: Joint positions of both arms (12, 3) [m].
-        weights: For rho and xi.
-        height: Of the moved point above the ground [m].
+    The scene has at least one rock; ``joints`` are positions of both arms (12, 3) [m].
     """
     marks = rock_marks(scene.rocks)
     line = np.linspace(-1.3, 1.3, 121)  # m, round the astronaut
@@ -191,11 +181,7 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
 
 
 def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
-    """Draw a heat map of success [%] over postures and tasks, a column an evaluation.
-
-    Args:
-        tested: Rows of each evaluation, by the title of its column.
-    """
+    """Draw a heat map of success [%] over postures and tasks; ``tested`` has each column's rows by its title."""
     rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
     known = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
     rates = 100 * rates.reindex([pair for pair in known if pair in rates.index])

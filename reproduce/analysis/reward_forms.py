@@ -1,7 +1,5 @@
 """Compute what the approach term rewards: dwelling, finishing, wandering and giving up (READING of Eq. 2)."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from lunar_rescue.rewards import ApproachForm, approach, time_bonus

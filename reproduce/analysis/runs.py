@@ -1,7 +1,5 @@
 """Read the evidence in results/, reference runs with their curves and evaluations, and refuse what is not sound."""
 
-from __future__ import annotations
-
 import filecmp
 import math
 from dataclasses import dataclass

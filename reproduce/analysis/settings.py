@@ -1,7 +1,5 @@
 """Every setting of every method that learns, and where it comes from, in one table; read from the configuration."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import textwrap
@@ -39,11 +37,7 @@ def notes(kind: type) -> dict[str, str]:
 
 
 def settings_table(preset: str) -> pd.DataFrame:
-    """A row a setting, a column a method; empty where a method does not have it.
-
-    Args:
-        preset: Name of a preset.
-    """
+    """A row a setting, a column a method; empty where a method does not have it."""
     learning = {name: method.config(preset) for name, method in METHODS.items() if method.train is not None}
     columns = {name: _settings(config) for name, config in learning.items()}
     order = ["training", *TITLES.values()]

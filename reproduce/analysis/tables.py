@@ -89,10 +89,7 @@ def write_table1(results: Path = RESULTS) -> Path:
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
     """Return how much more often ``to`` rescues than each other run, on the same scenes, with intervals.
 
-    Args:
-        results: Folder of results.
-        to: Method that is compared with the others, its first seed.
-        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    ``to`` is compared by its first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
     rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _paired(results, to, name)]
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
@@ -129,11 +126,7 @@ def nearest_to_rocks(
 ) -> pd.DataFrame:
     """Return how near two methods' joints come to rocks: means over scenes with rocks, and the paired difference [m].
 
-    Args:
-        results: Folder of results.
-        first: Method, its first seed.
-        second: Method, its first seed.
-        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    Of both methods it is the first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
     runs = {run.method: run.rows(name) for run in reversed(reference_runs(results))}  # the first seed stays
     ours, theirs = runs.get(first), runs.get(second)
@@ -173,9 +166,7 @@ def by_condition(rows: pd.DataFrame) -> pd.DataFrame:
 def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFrame:
     """Return the success of every run by task and how the body lies, in words: share and number of tests.
 
-    Args:
-        name: ``evaluation`` for test scenes, ``heldout`` for held-out ones.
-        results: Folder of results.
+    ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
     columns = {}
     for run in reference_runs(results):

@@ -1,21 +1,16 @@
 """`ppo_lstm`: one recurrent PPO network on the environment's own reward; shows what the hierarchy adds."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.learning.config import PolicyConfig, RecurrentConfig
-from reproduce.learning.episodes import EpisodeLog
+from reproduce.learning.config import RecurrentConfig
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
-from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.training import RecurrentTraining, make_environments, make_learner
-from reproduce.storage.policies import load_networks, load_policy_config
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
+from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
 
 LEVEL = "policy"  # name of the one learner, in checkpoints and run folders
 
@@ -39,9 +34,8 @@ class FlatPolicy(MirroredPolicy):
 
 
 def load_flat_policy(folder: Path) -> FlatPolicy:
-    """Read the policy of a run folder; see ``load_networks``."""
-    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, NetworkSpec)
-    return FlatPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)
+    """Read the policy of a run folder; see ``load_only_network``."""
+    return FlatPolicy(*load_only_network(folder, LEVEL, NetworkSpec))
 
 
 class FlatTraining(RecurrentTraining):
@@ -52,12 +46,6 @@ class FlatTraining(RecurrentTraining):
         env = EpisodeLog(venv)
         self.learner = make_learner(env, config.low, seed, bounded_mean=False)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
-
-    def update(self, done: int) -> dict[str, Any]:
-        """Collect a rollout and learn from it; ``done`` steps were taken before."""
-        self.collect(done)
-        self.learner.train()
-        return self.row()
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return the one network with its sizes; see ``Training``."""

@@ -5,9 +5,9 @@ the same number of environment steps and within the hour that every method has, 
 step of all environments together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
@@ -26,20 +27,45 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.config import SacConfig, SacTrainingConfig
-from reproduce.learning.config import PolicyConfig
-from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.finite import check_losses
-from reproduce.learning.networks import flat_spaces
-from reproduce.learning.policy import Actions, MirroredPolicy, Observations
-from reproduce.learning.standardiser import Standardiser, observe_all
-from reproduce.learning.training import Training, make_environments
+from lunar_rescue.scenes.records import checked
+from reproduce.learning.config import Share, TrainingConfig
+from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
+from reproduce.learning.sequence_ppo import check_losses
+from reproduce.learning.training import EpisodeLog, Training, make_environments
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
-from reproduce.storage.policies import Spec, load_networks, load_policy_config
+from reproduce.storage.policies import Spec
+from reproduce.storage.records import Units
 
 LEVEL = "actor"  # name of the one learner, in checkpoints and run folders
 EACH_STEP = TrainFreq(1, TrainFrequencyUnit.STEP)
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@checked
+@dataclass(frozen=True)
+class SacConfig:
+    """What only SAC has; SB3's defaults where nothing is said."""
+
+    buffer_size: PositiveInt = 50_000  # Transitions in the replay buffer; ML-Agents' default and the paper's
+    batch_size: PositiveInt = 256  # Transitions in a gradient step
+    train_every: PositiveInt = 2  # Steps of all environments between learning: what fits into the hour of every method
+    gradient_steps: PositiveInt = 1  # Gradient steps each time; SB3's default
+    learning_starts: NonNegativeInt = 10_000  # Environment steps before the first gradient step
+    learning_rate: PositiveFloat = 3.0e-4  # Learning rate of actor, critics and entropy weight
+    tau: Share = 0.005  # Share of the critics that goes into the target critics after each gradient step
+    hidden_units: Units = 128  # Units of both layers of actor and critics; paper, section 4.1. SB3's 256 are slower
+    gamma: Share = 0.99  # Discount; paper, section 4.1
+    first_ent_coef: PositiveFloat = 1.0  # Entropy weight at the beginning; it is learnt (SB3's "auto" begins with 1)
+    n_steps: PositiveInt = 128  # Steps of an environment to a row of `progress.csv` and new standardisation
+
+
+@checked
+@dataclass(frozen=True)
+class SacTrainingConfig(TrainingConfig):
+    """A training of SAC, which is flat: one learner."""
+
+    sac: SacConfig = field(default_factory=SacConfig)  # What only SAC has
 
 
 class StandardisedExtractor(BaseFeaturesExtractor):
@@ -71,13 +97,9 @@ def policy_arguments(hidden_units: int) -> dict[str, Any]:
 
 
 class CheckpointedSAC(SAC):
-    """SB3's SAC, unchanged, with a checkpoint that holds its replay buffer too.
+    """SB3's SAC, unchanged, with a checkpoint that holds its replay buffer too."""
 
-    Attributes:
-        where: Name of the learner and number of the update, for errors; a training sets it.
-    """
-
-    where = "SAC"
+    where = "SAC"  # name of the learner and number of the update, for errors; a training sets it
     replay_buffer: ReplayBuffer
     log_ent_coef: th.Tensor
 
@@ -114,11 +136,7 @@ class CheckpointedSAC(SAC):
         self.collect_rollouts(env, callback, EACH_STEP, self.replay_buffer, learning_starts=0, log_interval=None)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take gradient steps on minibatches of the buffer; see SB3.
-
-        Raises:
-            RunFailedError: When a loss is not finite.
-        """
+        """Take gradient steps on minibatches of the buffer; ``RunFailedError`` at a loss that is not finite."""
         for _ in range(gradient_steps):
             super().train(1, batch_size)
             check_losses(self.where, self.logger.name_to_value)
@@ -126,31 +144,17 @@ class CheckpointedSAC(SAC):
 
 def make_sac(env: Any, config: SacConfig, seed: int) -> CheckpointedSAC:
     """Make the learner for SB3's environments."""
-    learner = CheckpointedSAC(
-        "MlpPolicy",
-        env,
-        learning_rate=config.learning_rate,
-        buffer_size=config.buffer_size,
-        batch_size=config.batch_size,
-        tau=config.tau,
-        gamma=config.gamma,
-        ent_coef=f"auto_{config.first_ent_coef}",
-        policy_kwargs=policy_arguments(config.hidden_units),
-        seed=seed,
-        device="cpu",
-    )
+    same: Any = {name: getattr(config, name) for name in ("learning_rate", "buffer_size", "batch_size", "tau", "gamma")}
+    same |= {"policy_kwargs": policy_arguments(config.hidden_units), "ent_coef": f"auto_{config.first_ent_coef}"}
+    learner = CheckpointedSAC("MlpPolicy", env, seed=seed, device="cpu", **same)
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 
 
 class BusyEpisodeLog(EpisodeLog):
-    """Lets the learner learn while the workers step; what they step to is in the replay buffer only afterwards.
+    """Lets the learner learn while the workers step; what they step to is in the replay buffer only afterwards."""
 
-    Attributes:
-        meanwhile: What is called in each step before the workers are waited for.
-    """
-
-    meanwhile: Callable[[], None] | None = None
+    meanwhile: Callable[[], None] | None = None  # called in each step before the workers are waited for
 
     def step_wait(self) -> VecEnvStepReturn:
         """Learn first, then wait for the environments."""
@@ -179,13 +183,10 @@ class SacTraining(Training):
             observations.append(np.asarray(self.learner._last_obs, np.float32))
             taken = done // self.config.n_envs + step  # steps of each environment
             learns = taken * self.config.n_envs >= max(sac.learning_starts, 1) and taken % sac.train_every == 0
-            self.env.meanwhile = self._learn if learns else None
+            self.env.meanwhile = partial(self.learner.train, sac.gradient_steps, sac.batch_size) if learns else None
             self.learner.collect(self.env, self.callback)
         observe_all(self.learner.policy, np.concatenate(observations))
         return self.row()
-
-    def _learn(self) -> None:
-        self.learner.train(self.config.sac.gradient_steps, self.config.sac.batch_size)
 
     def networks(self) -> dict[str, tuple[SacSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
@@ -196,17 +197,9 @@ class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
     def __init__(self, actor: Actor, mirrored: bool = True) -> None:
-        """Make a policy that acts in no environment yet.
-
-        Args:
-            actor: The trained network.
-            mirrored: Whether it sees scenes through ``reproduce.learning.mirror``.
-        """
+        """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
         super().__init__(mirrored)
         self._actor = actor
-
-    def begin(self, count: int) -> None:
-        """Forget nothing, as nothing is remembered."""
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return the mean actions; see ``MirroredPolicy``."""
@@ -216,6 +209,5 @@ class SacPolicy(MirroredPolicy):
 
 
 def load_sac_policy(folder: Path) -> SacPolicy:
-    """Read the policy of a run folder; see ``load_networks``."""
-    networks = load_networks(folder, {LEVEL: (SIZE, JOINTS)}, SacSpec)
-    return SacPolicy(networks[LEVEL], load_policy_config(folder, PolicyConfig).mirrored)
+    """Read the policy of a run folder; see ``load_only_network``."""
+    return SacPolicy(*load_only_network(folder, LEVEL, SacSpec))

@@ -1,30 +1,120 @@
-"""`scripted`: inverse kinematics and a few way-points, what a roboticist would try first; it learns nothing.
+"""`random`, and `scripted`: inverse kinematics and way-points, what a roboticist would try first; neither learns.
 
-It sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over. It knows
-nothing of rocks, so it also tells how hard the problem is without looking at them. Its way-points are data, in
+The script sees the same observation as the learners: retract, lower, slide in under the body, then lift or push over.
+It knows nothing of rocks, so it also tells how hard the problem is without looking at them. Its way-points are data, in
 ``planner/data/script.json``.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
-from typing import Any
+import json
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as strict_dataclass
 
+from lunar_rescue import Scene
 from lunar_rescue.observation import SLICES
-from lunar_rescue.physics.kinematics import solve_arm
+from lunar_rescue.physics.kinematics import solve_arm, solve_arms
 from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, INITIAL_WAIST, JOINTS, WAIST, WAIST_WINDOW
-from reproduce.baselines.way_points import ARRIVED, SCRIPT, Variant, WayPoint, load_way_points
 from reproduce.learning.actions import LOWER, UPPER
-from reproduce.learning.policy import Actions, Observations
+from reproduce.learning.policy import Actions, Observations, Policy
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import read_json
 
 Array = NDArray[np.float64]
+Data = TypeVar("Data")
 
 SIDE_FRONT = 0.75  # lying on a side, the front points up or down by less than this sine
 _INITIAL = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
 _WINDOW = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
+DATA = Path(__file__).parent / "planner" / "data"
+SCRIPT, VARIANTS = DATA / "script.json", DATA / "variants.json"
+LONGEST_WAIT = 60  # steps at a way-point that is drawn
+ARRIVED = np.radians(3.0)  # rad, a way-point is reached when every joint is this near
+STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
+Degrees = Annotated[float, Field(ge=-90.0, le=90.0)]
+
+
+@strict_dataclass(frozen=True, config=STRICT)
+class WayPoint:
+    """A wanted place of both arm ends."""
+
+    ahead: Metres  # from the targets as first seen [m]
+    aside: Metres  # from the targets as first seen, to the left [m]
+    up: Metres  # from the targets as first seen [m]
+    slope: Degrees  # forearm above the horizontal [deg]
+    waist: Degrees  # waist angle [deg]
+    patience: Annotated[int, Field(ge=1, le=120)]  # most steps to spend
+
+    def joints(self, targets: Array, before: Array) -> Array:
+        """Solve the joint angles (11,) [rad], within their limits, that bring both arms to this way-point.
+
+        ``targets`` are the two as first seen, base frame (2, 3) [m]; ``before`` (11,) is where to begin, and preferred.
+        """
+        joints = np.empty(JOINTS)
+        joints[WAIST] = np.clip(np.radians(self.waist), LOWER[WAIST], UPPER[WAIST])
+        slope, waist = np.radians([self.slope]), joints[[WAIST]]
+        for arm, place in zip(ARMS, targets + [self.ahead, self.aside, self.up], strict=True):
+            j = arm.joints
+            joints[j] = solve_arms(place[None], slope, waist, arm.side, before[None, j], LOWER[j], UPPER[j])[0][0]
+        return joints
+
+
+Variant = tuple[WayPoint, ...]
+
+
+def kind(scene: Scene) -> str:
+    """Name the way-points that suit a scene: its task and the attitude of the body."""
+    attitude = scene.model.attitude
+    return f"{scene.task} {'side' if attitude.endswith('side') else attitude}"
+
+
+def vary(variant: Variant, rng: np.random.Generator, spread: float = 1.0) -> Variant:
+    """Return a variant nearby, every number moved at random by amounts in proportion to ``spread``."""
+    shift = rng.normal(0.0, 0.04 * spread, 3)
+    points = []
+    for point in variant:
+        ahead, aside, up = np.array([point.ahead, point.aside, point.up]) + shift * [1, 0.7, 0.5]
+        ahead, up = ahead + rng.normal(0.0, 0.05 * spread), up + rng.normal(0.0, 0.04 * spread)
+        moved = replace(
+            point,
+            ahead=float(ahead),
+            aside=float(aside),
+            up=float(max(up, -0.02)),
+            slope=float(np.clip(point.slope + rng.normal(0.0, 6.0 * spread), -30.0, 75.0)),
+            waist=float(np.clip(point.waist + rng.normal(0.0, 6.0 * spread), -35.0, 60.0)),
+            patience=int(np.clip(round(point.patience * np.exp(rng.normal(0.0, 0.25 * spread))), 4, LONGEST_WAIT)),
+        )
+        points.append(moved)
+    return tuple(points)
+
+
+@strict_dataclass(frozen=True, config=ConfigDict(strict=True, extra="ignore"))
+class _Variants:
+    kinds: dict[str, list[list[WayPoint]]]
+
+
+@lru_cache
+def load_way_points(path: Path) -> dict[str, tuple[Variant, ...]]:
+    """Read from JSON the variants of each kind, such as ``"lift prone"``, the most useful first; see ``read_data``."""
+    kinds = read_data(path, "file of way-points", _Variants).kinds
+    return {name: tuple(tuple(variant) for variant in variants) for name, variants in kinds.items()}
+
+
+def read_data(path: Path, what: str, form: type[Data]) -> Data:
+    """Read JSON as a strict dataclass; ``UserError`` names the file, the first faulty place and what is there."""
+    raw = read_json(path, what)
+    try:
+        return TypeAdapter(form).validate_json(json.dumps(raw))  # strict about JSON's types, not Python's
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the whole"
+        raise UserError(f"{path}: {what}: {where}: {first['msg']}, got {first['input']!r:.60}") from None
 
 
 @dataclass
@@ -48,7 +138,23 @@ class _Progress:
         return _to_action(self.joints)
 
 
-class ScriptedPolicy:
+class RandomPolicy(Policy):
+    """Uniform actions in [-1, 1], the same for the same seed and order of calls."""
+
+    def __init__(self, seed: Any = 0) -> None:
+        """Seed the generator; anything but an integer counts as 0."""
+        self.reseed(seed if isinstance(seed, int) else 0)
+
+    def reseed(self, seed: int) -> None:
+        """Start a scene's own sequence of actions, so that the order of tests does not matter."""
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """Draw actions (n, 11) without a look at the observations; see ``Policy.act``."""
+        return self._rng.uniform(-1.0, 1.0, (len(observations), JOINTS)).astype(np.float32)
+
+
+class ScriptedPolicy(Policy):
     """Go through the script's way-points, with one state machine for each environment."""
 
     def __init__(self) -> None:
@@ -56,13 +162,9 @@ class ScriptedPolicy:
         self._script = load_way_points(SCRIPT)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """See ``Policy.act``."""
+        """Go on to the next way-point where one is reached; see ``Policy.act``."""
         rows = [self._one(i, row, bool(start)) for i, (row, start) in enumerate(zip(observations, starts, strict=True))]
         return np.array(rows, dtype=np.float32)
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw."""
-        return {}
 
     def _one(self, index: int, row: NDArray[np.float32], start: bool) -> Array:
         if start or index not in self._progress:

@@ -4,8 +4,6 @@ The same environments, networks, rollouts, batches and epochs; only who steps an
 alone: SGN's decisions are cut to a rectangle, as a stock buffer wants, so it is not meant to learn well.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -32,27 +30,23 @@ from reproduce.learning.training import OnlySpaces, make_learner, start_collecti
 from reproduce.learning.workers import TERMS
 
 
-class FlatEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """The environment with its flat observation, as SB3's vectorised environments want it."""
 
+    env: LunarRescueEnv
+
     def __init__(self) -> None:
-        self._env = LunarRescueEnv()
+        super().__init__(LunarRescueEnv())
         self.observation_space = spaces.Box(-BOUND, BOUND, (SIZE,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, **arguments: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode on a training scene."""
-        return self._env.reset_flat(None, options)
+        return self.env.reset_flat(None, arguments.get("options"))
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Take one step with joint actions (JOINTS,)."""
-        return self._env.step_flat(action)
-
-    def close(self) -> None:
-        """Disconnect from the physics server."""
-        self._env.close()
+        return self.env.step_flat(action)
 
 
 class TermsFromInfos(VecEnvWrapper):
@@ -78,12 +72,11 @@ class StockTraining:
 
     def __init__(self, config: HierarchicalConfig, seed: int) -> None:
         self.config = config
-        workers = SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver")
-        venv = TermsFromInfos(workers)
+        venv = TermsFromInfos(SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver"))
         self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
         goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
-        high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
+        high_env = OnlySpaces(config.n_envs, venv.observation_space, flat_spaces(1, goals.outputs)[1])
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
         self.env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
         self.lln: Any = make(self.env, config.low, bounded_mean=False)

@@ -1,7 +1,5 @@
 """Measure training: HRL-DCS with our parts beside HRL-DCS with stock ones, in turn, so that both share the noise."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -56,7 +54,7 @@ def measure_training(rounds: int, steps: int) -> dict[str, Any]:
 
 def learner_ratio(stock: StockTraining, config: LearnerConfig) -> float:
     """Return the stock learner's time over ours, on the same rollout, weights, batch and epochs, in alternation."""
-    spaces = OnlySpaces(stock.env.observation_space, stock.env.action_space, stock.config.n_envs)
+    spaces = OnlySpaces(stock.config.n_envs, stock.env.observation_space, stock.env.action_space)
     theirs, ours = make_learner(spaces, config, 0, False, RecurrentPPO), make_learner(spaces, config, 0, False)
     for learner in (theirs, ours):
         learner.policy.load_state_dict(stock.lln.policy.state_dict())

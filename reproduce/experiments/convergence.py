@@ -122,7 +122,7 @@ def summarise_convergence(rows: pd.DataFrame) -> pd.DataFrame:
     table = []
     for (actor, setting), group in rows.groupby(["actor", "setting"], sort=False):
         success = group.set_index("seed")["success"]
-        reference = finest.loc[actor].loc[success.index]
+        reference = finest.xs(actor).reindex(success.index)
         lifts = group["task"] == "lift"
         table.append(
             {
@@ -180,8 +180,9 @@ def measure_convergence(
         nested = map_scenes(job, seeds, _prepare, (tuple(actors),), title="convergence", quiet=quiet)
         rows = pd.DataFrame([row for scene in nested for row in scene])
         found = summarise_convergence(rows)
-        for path, content in ((table, rows.round(6)), (summary, found.round(4))):
-            write_atomically(path, lambda temporary, content=content: content.to_csv(temporary, index=False))
+        write_atomically(table, lambda path: rows.round(6).to_csv(path, index=False))
+        write_atomically(summary, lambda path: found.round(4).to_csv(path, index=False))
+        for path in (table, summary):
             record_origin(path)
     tell(found.round(3).to_string(index=False))
     return found

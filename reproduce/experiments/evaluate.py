@@ -3,8 +3,6 @@
 Every method meets the same scenes, and the result of a scene does not depend on which others are tested beside it.
 """
 
-from __future__ import annotations
-
 import difflib
 import time
 from collections.abc import Callable
@@ -129,34 +127,28 @@ def evaluate(
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
-    Args:
-        where: Run folder, or name of a method that does not learn.
-        tests: Number of scenes.
-        first_seed: Seed of the first one.
-        quiet: Whether to leave the progress bar out.
-        ablation: What is taken out of the policy, see ``hrl_dcs.ablation``.
-        easy: Whether the scenes are the easy ones.
-        json: Where the summary is written, with the scenes' rows beside it; see ``rows.rows_path``.
-        tell: Called with the summary before it is written, so that it is seen even where that fails.
+    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The summary
+    goes to ``json`` with the rows beside it, see ``rows.rows_path``; ``tell`` is called with it before that, so that
+    it is seen even where writing fails.
     """
-    table = rows_path(json) if json else None
-    for path in filter(None, (json, table)):
-        check_writable(path)
+    table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
+    for path in (json, table):
+        if path:
+            check_writable(path)
     begun = time.monotonic()
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
     seconds = time.monotonic() - begun
+    conditions = {"ablation": ablation, "scenes": "easy" if easy else None}
     summary = {
         "method": find_policy(where)[0].name,
-        **({} if ablation is None else {"ablation": ablation}),
-        **({"scenes": "easy"} if easy else {}),
+        **{name: condition for name, condition in conditions.items() if condition},
         **summarise(rows),
-        "seconds": round(seconds, 2),
-        "seconds_per_test": round(seconds / tests, 4),
-        "origin": provenance(),
+        **{"seconds": round(seconds, 2), "seconds_per_test": round(seconds / tests, 4), "origin": provenance()},
     }
     if tell:
         tell(summary)
-    if json and table:
+    if table:
         write_rows(table, rows)
+    if json:
         write_json(json, summary)
     return summary

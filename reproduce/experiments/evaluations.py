@@ -1,7 +1,5 @@
 """The evaluations of a run: which scenes each one tests and what is taken out of the policy, by the file's name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,12 +48,8 @@ def evaluate_run(
 ) -> None:
     """Make every evaluation that a run should have, and write summaries and rows into its folder.
 
-    Args:
-        folder: ``METHOD/seedK``; without a policy in it, METHOD is one that does not learn.
-        tests: Scenes of a full evaluation.
-        few: Scenes of a smaller one.
-        tell: Called with a line an evaluation.
-        quiet: Whether to leave progress bars out.
+    ``folder`` is ``METHOD/seedK``; without a policy in it, METHOD is one that does not learn. A full evaluation has
+    ``tests`` scenes, a smaller one ``few``; ``tell`` is called with a line an evaluation.
     """
     method = folder.parent.name
     where = folder if (folder / "policy.json").is_file() else method

@@ -1,22 +1,17 @@
 """One registry of methods: a name, how it trains, how it acts. Commands, notebooks and tests loop over it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from reproduce.baselines.config import SacTrainingConfig
-from reproduce.baselines.feudal.config import FeudalConfig
-from reproduce.baselines.feudal.policy import load_feudal_policy
-from reproduce.baselines.feudal.training import FunTraining
-from reproduce.baselines.planner.policy import PlannerPolicy
-from reproduce.baselines.random import RandomPolicy
+from reproduce.baselines.feudal.network import FeudalConfig
+from reproduce.baselines.feudal.training import FunTraining, load_feudal_policy
+from reproduce.baselines.planner.planner import PlannerPolicy
 from reproduce.baselines.recurrent_ppo import FlatTraining, load_flat_policy
-from reproduce.baselines.sac import SacTraining, load_sac_policy
-from reproduce.baselines.scripted import ScriptedPolicy
+from reproduce.baselines.sac import SacTraining, SacTrainingConfig, load_sac_policy
+from reproduce.baselines.scripted import RandomPolicy, ScriptedPolicy
 from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.policy import load_hierarchical_policy

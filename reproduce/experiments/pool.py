@@ -1,13 +1,11 @@
 """Work on many scenes, one scene a job, in as many processes as there are cores."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from tqdm.auto import tqdm
 
-from lunar_rescue.scenes.splits import split_of
+from lunar_rescue.scenes.splits import FINAL, SPLITS, split_of
 from reproduce.storage.errors import UserError
 from reproduce.storage.processes import map_in_processes
 
@@ -33,6 +31,23 @@ def scene_seeds(tests: int, first_seed: int) -> range:
     return range(first_seed, first_seed + tests)
 
 
+def first_scene(split: str, first_seed: int | None, tell: Callable[[str], object]) -> int:
+    """Return where to begin, the split's first scene unless told otherwise; splits for final figures are called so.
+
+    Raises:
+        UserError: On a split that does not exist, or a seed that is not in it.
+    """
+    if split not in SPLITS:
+        raise UserError(f"--split: expected one of {', '.join(SPLITS)}; got {split!r}")
+    seed = SPLITS[split].start if first_seed is None else first_seed
+    if first_seed is not None and first_seed not in SPLITS[split]:
+        seeds = SPLITS[split]
+        raise UserError(f"--first-seed: {split} has seeds {seeds.start} to {seeds.stop - 1}; got {first_seed}")
+    if split in FINAL:
+        tell(f"{split}: for final figures; whatever is still tried is judged on validation scenes")
+    return seed
+
+
 def map_scenes(
     function: Callable[[int], Row],
     seeds: Sequence[int],
@@ -45,14 +60,8 @@ def map_scenes(
 ) -> list[Row]:
     """Return a function's answers to all seeds, in their order, and show how far it has come meanwhile.
 
-    Args:
-        function: Called with a seed in a worker process; must pickle.
-        seeds: The scenes.
-        initializer: Called once in each worker, with ``arguments``, which must pickle.
-        arguments: For the initializer.
-        title: Text beside the progress bar.
-        workers: Number of processes; None is one a core.
-        quiet: Whether to leave the progress bar out.
+    ``function`` and what ``initializer`` is called with, once in each worker, must pickle; ``workers`` None is one a
+    core.
 
     Raises:
         RunFailedError: When a worker was killed or crashed.

@@ -1,7 +1,5 @@
 """Presets and tuning trials, which are data, and the configurations that they make of a method's class."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -34,10 +32,7 @@ TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
 def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
     """Fill a method's configuration class with a preset.
 
-    Args:
-        kind: The method's class; what else the preset holds is not for it.
-        preset: Name of the preset.
-        changes: What differs from it, see ``changed``.
+    What else the preset holds is not for ``kind``; for ``changes`` see ``changed``.
 
     Raises:
         UserError: Where there is no such preset.

@@ -1,7 +1,5 @@
 """The rows of an evaluation, one a tested scene, and the summary that is computed from them and from nothing else."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from pathlib import Path

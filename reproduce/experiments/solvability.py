@@ -12,8 +12,7 @@ from typing import Any
 import pandas as pd
 
 from lunar_rescue import LunarRescueEnv, sample_scene
-from reproduce.baselines.planner.planner import VARIANTS, RescuePlanner
-from reproduce.baselines.planner.policy import PlannerPolicy
+from reproduce.baselines.planner.planner import VARIANTS, PlannerPolicy, RescuePlanner
 from reproduce.experiments.evaluate import run_episode
 from reproduce.experiments.pool import map_scenes, scene_seeds
 from reproduce.experiments.rows import count_by, wilson

@@ -5,8 +5,6 @@ ends as if nothing had happened. An interruption itself writes no checkpoint: en
 checkpoint that was not planned would change everything after it.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable
@@ -47,15 +45,8 @@ def train(
 ) -> pd.DataFrame:
     """Train a method and write its run folder; return the rows of ``progress.csv``.
 
-    Args:
-        method: What to train.
-        config: Its configuration.
-        seed: Of networks, scenes and minibatches.
-        folder: The run folder; no other training may be writing it.
-        preset: Name that the configuration comes from.
-        resume: Go on from the folder's checkpoint.
-        quiet: No progress bar.
-        tensorboard: Folder for TensorBoard's logs of what ``progress.csv`` holds, if wanted.
+    ``folder`` is the run folder, which no other training may be writing; ``preset`` names where ``config`` comes from;
+    ``resume`` goes on from the checkpoint; ``tensorboard`` is a folder for logs of what ``progress.csv`` holds.
 
     Raises:
         UserError: When the method does not learn, the folder holds a finished run or is another training's, or there

@@ -6,8 +6,6 @@ processes of a rescue that its policy completes: half for both arms under, half 
 the trial's length.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable
@@ -42,13 +40,8 @@ def tune(
 ) -> pd.DataFrame:
     """Make the trials of a method that were not made yet; write and return the table of all.
 
-    Args:
-        method: One with trials in ``reproduce/experiments/trials.toml``.
-        steps: Environment steps of a trial.
-        tests: Easy validation scenes after it.
-        tell: Gets a line a trial.
-        quiet: No progress bars.
-        results: Where ``trials/tuning/METHOD.csv`` is written; no other tuning may be writing there.
+    A trial has ``steps`` environment steps, then ``tests`` easy validation scenes; ``tell`` gets a line a trial. The
+    table is ``trials/tuning/METHOD.csv`` in ``results``, where no other tuning may be writing.
 
     Raises:
         UserError: When the method has no trials, a number is out of range, or the folder is in use.

@@ -1,7 +1,5 @@
 """What each layer adds: a trained two-layer policy with one of its layers put out of action."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 
@@ -60,11 +58,7 @@ ABLATIONS: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = {
 
 
 def ablated(policy: Policy, ablation: str, method: str) -> HierarchicalPolicy:
-    """Return a policy with one layer put out of action.
-
-    Raises:
-        UserError: On an unknown ablation, or a policy that has no two layers.
-    """
+    """Return a policy with one layer put out of action; ``UserError`` on an unknown ablation or no two layers."""
     if ablation not in ABLATIONS:
         raise UserError(f"--ablation: expected one of {', '.join(ABLATIONS)}; got {ablation!r}")
     if not isinstance(policy, HierarchicalPolicy):

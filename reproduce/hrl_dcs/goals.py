@@ -5,14 +5,14 @@
 observations to a goal space (see docs/extending.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+
+from reproduce.learning.networks import flat_box
 
 Floats = NDArray[np.float32]
 
@@ -57,18 +57,12 @@ class PlainGoals:
         goal_of: Callable[[Floats], Floats],
         reach: float,
     ) -> None:
-        """Check the spaces and measure the goal space.
+        """Check the spaces, which are flat boxes, the action's with bounds, or a ``ValueError``.
 
-        Args:
-            observation_space: Box, flat.
-            action_space: Box, flat and bounded; LLN's outputs in [-1, 1] are stretched over it.
-            goal_of: From observations (n, d) to the goal space (n, g).
-            reach: Furthest that SGN puts a sub-goal away along each axis of the goal space.
-
-        Raises:
-            ValueError: On spaces that are no flat boxes, or an action without bounds.
+        ``goal_of`` leads from observations (n, d) to the goal space (n, g), along each axis of which a sub-goal is at
+        most ``reach`` away. LLN's outputs in [-1, 1] are stretched over the actions.
         """
-        sees, acts = _flat_box("observation_space", observation_space), _flat_box("action_space", action_space)
+        sees, acts = flat_box("observation_space", observation_space), flat_box("action_space", action_space)
         if not (np.isfinite(acts.low).all() and np.isfinite(acts.high).all()):
             raise ValueError(f"action_space: expected bounds, got {acts}")
         self._goal_of, self._reach = goal_of, np.float32(reach)
@@ -102,9 +96,3 @@ class PlainGoals:
         """Return LLN's outputs (n, actions) stretched over the action space."""
         share = 0.5 * (np.clip(outputs, -1.0, 1.0) + 1.0)
         return (self._low + share * (self._high - self._low)).astype(np.float32)
-
-
-def _flat_box(name: str, space: spaces.Space[Any]) -> spaces.Box:
-    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-        raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
-    return space

@@ -8,8 +8,6 @@ it. It is an observation and nothing more: no output is added to LLN's, which ha
 load, in contact and among rocks.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,15 +33,10 @@ def sideways_tilt(observations: Floats, level: float) -> Floats:
 
 
 def joint_step(observations: Floats, way: Floats, anchors: AnchorConfig) -> Floats:
-    """Return the step of all joints that would close the way to a sub-goal.
+    """Return the step of all joints, arm A, arm B, waist (n, 11), that would close the way to a sub-goal.
 
-    Args:
-        observations: Flat observations (n, SIZE).
-        way: From where the arms are to where they are wanted: both ends, then the rise of both plates (n, 8) [m].
-        anchors: What slope and level of a plate count beside places, and damping and bound of the step.
-
-    Returns:
-        Arm A, arm B, waist (n, 11), in units of the largest change of a step, cut at ``anchors.furthest``.
+    The way is from where the arms are to where they are wanted: both ends, then the rise of both plates (n, 8) [m]. The
+    step is in units of the largest change of a step, cut at ``anchors.furthest``.
     """
     count = len(observations)
     angles = np.stack([observations[:, where] for where in _ANGLES]).astype(np.float64) * ARM_WINDOW + INITIAL_ARM

@@ -1,6 +1,4 @@
-"""Acting with a trained two-layer policy: batched over environments, both memories kept."""
-
-from __future__ import annotations
+"""SGN at work, at t = 0, N, 2N, ... of every episode, and acting with both layers, batched over environments."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.hrl_dcs.config import AnchorConfig, HierarchicalPolicyConfig
-from reproduce.hrl_dcs.high_level import HighLevel
+from reproduce.hrl_dcs.goals import Floats, Goals
 from reproduce.hrl_dcs.subgoals import ENDS_SIZE, LLN_SIZE, SUBGOAL_SIZE, RescueGoals
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
@@ -20,6 +18,40 @@ from reproduce.storage.policies import load_networks, load_policy_config
 
 #: For each level the sizes of observation and action.
 SIZES = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (LLN_SIZE, JOINTS)}
+
+
+class HighLevel:
+    """SGN with its clock, its memory and its present sub-goals (n, goals.size) in several environments."""
+
+    def __init__(self, sgn: RecurrentNetwork, goals: Goals, interval: int, count: int) -> None:
+        """Begin with empty memories of ``count`` environments, in which N is ``interval``."""
+        self.memory, self.goals, self._interval = Memory(sgn, count), goals, interval
+        self.subgoals = np.zeros((count, goals.size), np.float32)
+        self._left = np.zeros(count, np.int64)  # steps until the next sub-goal
+
+    def advance(self, observations: Floats, starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Go on by one step, asking SGN for a sub-goal where one is due; return in which environments that was.
+
+        ``starts`` (n,) says which environments begin an episode with these observations (n, d).
+        """
+        self._left -= 1
+        self.goals.update(observations, starts)
+        self.memory.forget(starts)
+        rows = np.flatnonzero(starts | (self._left <= 0))
+        if len(rows):
+            outputs = np.zeros((len(observations), self.goals.outputs), np.float32)
+            outputs[rows] = self.command(observations[rows], rows, starts[rows])
+            self.subgoals[rows] = self.goals.subgoals(outputs)[rows]
+            self._left[rows] = self._interval
+        return rows
+
+    def command(self, observations: Floats, rows: NDArray[np.int64], starts: NDArray[np.bool_]) -> Floats:
+        """Return SGN's outputs (m, goals.outputs) for environments ``rows`` (m,), here its means."""
+        return self.memory.act(observations, rows)
+
+    def view(self, observations: Floats) -> Floats:
+        """Return what LLN sees of observations (n, d), (n, goals.view_size)."""
+        return self.goals.view(observations, self.subgoals, (self._left / self._interval).astype(np.float32))
 
 
 class HierarchicalPolicy(MirroredPolicy):
@@ -32,14 +64,7 @@ class HierarchicalPolicy(MirroredPolicy):
         config: HierarchicalPolicyConfig,
         make_goals: Callable[[int, AnchorConfig], RescueGoals] = RescueGoals,
     ) -> None:
-        """Make a policy that acts in no environment yet.
-
-        Args:
-            sgn: High level, trained.
-            lln: Low level, trained.
-            config: All else that decides how they act.
-            make_goals: What turns SGN's outputs into sub-goals; the ablations have others.
-        """
+        """Make a policy that acts in no environment yet; ablations make other sub-goals of SGN's outputs."""
         super().__init__(config.mirrored)
         self.networks, self.config, self._make_goals = (sgn, lln), config, make_goals
 

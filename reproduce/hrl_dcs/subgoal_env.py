@@ -6,8 +6,6 @@ environments that need one. An episode of LLN's is the N steps to a sub-goal (se
 cut there; its memory lives on. SGN's transitions, with EXR summed over the N steps, are recorded for its own learner.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,10 +18,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from lunar_rescue.tasks import SMALLEST_ERROR
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
-from reproduce.hrl_dcs.high_level import HighLevel
-from reproduce.learning.episodes import EpisodeLog
+from reproduce.hrl_dcs.policy import HighLevel
 from reproduce.learning.networks import RecurrentNetwork, flat_spaces
 from reproduce.learning.sequences import Floats, Rollout, advantages_and_returns, sequence_bounds
+from reproduce.learning.training import EpisodeLog
 
 
 @dataclass
@@ -41,14 +39,11 @@ class Decision:
 
 
 class RecordedHighLevel(HighLevel):
-    """SGN as it is trained: it draws its outputs, and every decision is recorded.
-
-    Attributes:
-        decisions: One list an environment; the last decision of each list is still under way.
-    """
+    """SGN as it is trained: it draws its outputs, and every decision is recorded."""
 
     def begin(self) -> None:
         """Forget what was recorded, as all episodes begin anew."""
+        # One list an environment; the last decision of each is still under way.
         self.decisions: list[list[Decision]] = [[] for _ in self.subgoals]
 
     def command(self, observations: Floats, rows: NDArray[np.int64], starts: NDArray[np.bool_]) -> Floats:
@@ -68,9 +63,7 @@ class RecordedHighLevel(HighLevel):
         for index, decisions in enumerate(self.decisions):
             done = decisions if decisions and decisions[-1].done else decisions[:-1]
             if done:
-                rewards, values = (
-                    np.array([getattr(d, name) for d in done], np.float32) for name in ("reward", "value")
-                )
+                rewards, values = np.array([(d.reward, d.value) for d in done], np.float32).T
                 ends, starts = np.array([d.done for d in done]), np.array([d.start for d in done])
                 # Where the last one ended its episode, the value after it does not count.
                 estimates.append(advantages_and_returns(rewards, values, decisions[-1].value, ends, gamma, lam))
@@ -88,29 +81,17 @@ class RecordedHighLevel(HighLevel):
 
 
 class SubGoalVecEnv(EpisodeLog):
-    """LLN's environment; see the module.
-
-    Attributes:
-        high: SGN, which decides in it.
-        cuts: For each step since the rollout began, where LLN's episode of N steps ended with it (n,).
-    """
+    """LLN's environment, with SGN as its part ``high``; see the module."""
 
     def __init__(self, venv: VecEnv, sgn: RecurrentNetwork, goals: Goals, config: HierarchicalConfig) -> None:
-        """Wrap environments.
-
-        Args:
-            venv: The environments, whose observations are flat.
-            sgn: The high level's network.
-            goals: What a sub-goal is in these environments, and how LLN's outputs become their actions.
-            config: The training's configuration.
-        """
+        """Wrap environments with flat observations; ``goals`` also make their actions of LLN's outputs."""
         seen, acts = flat_spaces(goals.view_size, goals.actions)
         super().__init__(venv, observation_space=seen, action_space=acts)
         self._sgn, self._goals, self._config = sgn, goals, config
         count = venv.num_envs
         self.high = RecordedHighLevel(sgn, goals, config.hierarchy.interval, count)
         self._best = np.zeros((count, goals.distance_count), np.float32)
-        self.cuts: list[NDArray[np.bool_]] = []
+        self.cuts: list[NDArray[np.bool_]] = []  # of each step of a rollout, where N steps ended with it (n,)
 
     def reset(self) -> Floats:
         """Begin new episodes and ask for the first sub-goals."""
@@ -169,13 +150,10 @@ class SubGoalVecEnv(EpisodeLog):
                 decision.done = True
                 if infos[index].get("TimeLimit.truncated", False):
                     # At the step limit the value of what would have come stands in, as SB3 does for the low level.
-                    decision.reward += self._config.high.gamma * self._value(ended[index])
+                    states = (th.zeros(1, 1, 1), th.zeros(1, 1, 1))  # the critic has no memory
+                    with th.no_grad():
+                        value = self._sgn.predict_values(th.from_numpy(ended[[index]]), states, th.zeros(1))
+                    decision.reward += self._config.high.gamma * float(value)
                 infos[index]["terminal_observation"] = self._goals.view(
                     ended[index : index + 1], self.high.subgoals[index : index + 1], np.zeros(1, np.float32)
                 )[0]
-
-    def _value(self, observation: Floats) -> float:
-        with th.no_grad():
-            states = (th.zeros(1, 1, 1), th.zeros(1, 1, 1))  # the critic has no memory
-            value = self._sgn.predict_values(th.from_numpy(observation[None]), states, th.zeros(1))
-        return float(value)

@@ -15,8 +15,6 @@ untrained SGN sends the arms straight at them and onto the body, and learning st
 log). All distances are in ``AnchorConfig``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -42,8 +40,7 @@ SHARED_TERMS = [index for index, term in enumerate(TERMS) if not term.once and i
 #: Terms that come once an episode, of which INR has a share.
 MILESTONES = [index for index, term in enumerate(TERMS) if term.once]
 
-_END_A = slice(SLICES["P_A"].start + 15, SLICES["P_A"].start + 18)
-_END_B = slice(SLICES["P_B"].start + 15, SLICES["P_B"].start + 18)
+_END_A, _END_B = (slice(SLICES[arm].start + 15, SLICES[arm].start + 18) for arm in ("P_A", "P_B"))
 _AHEAD = np.array([1.0, 0.0, 0.0] * 2, np.float32)
 _UP = np.array([0.0, 0.0, 1.0] * 2, np.float32)
 _UP_A, _UP_B = SLICES["P_A"].start + 20, SLICES["P_B"].start + 20  # height of the unit vector along a plate
@@ -96,13 +93,7 @@ class RescueGoals:
     outputs, size, distance_count, view_size, actions = SUBGOAL_SIZE, SUBGOAL_SIZE, 2, LLN_SIZE, JOINTS
 
     def __init__(self, count: int, anchors: AnchorConfig, milestone_share: float = 0.0) -> None:
-        """Begin with nothing known.
-
-        Args:
-            count: Environments.
-            anchors: From where and how far SGN moves sub-goals.
-            milestone_share: Weight in INR of what comes once an episode; of no use where a trained policy acts.
-        """
+        """Begin with nothing known; where a trained policy acts, ``milestone_share``, a weight in INR, is of no use."""
         self.config, self._milestone_share = anchors, milestone_share
         # Of a lift and a turn, of a body face up and face down each.
         ways = (anchors.lift, anchors.lift_face_down, anchors.turn, anchors.turn_face_down)
@@ -166,15 +157,7 @@ class RescueGoals:
     def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
         """Return what LLN sees: s_t (with a_{t-1}), the sub-goal, the way to it and the share of N steps left.
 
-        The way is there twice, in metres and in joint angles, see ``reproduce.hrl_dcs.joint_step``.
-
-        Args:
-            observations: Flat observations (n, SIZE).
-            subgoals: Sub-goals (n, SUBGOAL_SIZE) [m].
-            remaining: Share of N steps left (n,).
-
-        Returns:
-            LLN's observations (n, LLN_SIZE).
+        The way is there twice, in metres and in joint angles, see ``reproduce.hrl_dcs.joint_step``: (n, LLN_SIZE).
         """
         way = subgoals - achieved(observations, self.config.rise)
         tilt, steps = sideways_tilt(observations, self.config.level), joint_step(observations, way, self.config)

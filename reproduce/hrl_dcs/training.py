@@ -3,8 +3,6 @@
 One rollout of LLN's feeds both: LLN learns from every step with INR, SGN from every N steps with the summed EXR.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -24,16 +22,9 @@ class TwoLayerTraining(RecurrentTraining):
     env: SubGoalVecEnv
 
     def __init__(self, venv: Any, goals: Goals, config: HierarchicalConfig, seed: int) -> None:
-        """Make both learners.
-
-        Args:
-            venv: ``config.n_envs`` environments with flat observations.
-            goals: What a sub-goal is in them.
-            config: The configuration.
-            seed: Of networks and minibatches.
-        """
+        """Make both learners for ``config.n_envs`` environments with flat observations; ``seed`` is the networks'."""
         self.goals = goals
-        high_env = OnlySpaces(venv.observation_space, flat_spaces(1, goals.outputs)[1], config.n_envs)
+        high_env = OnlySpaces(config.n_envs, venv.observation_space, flat_spaces(1, goals.outputs)[1])
         self.sgn = make_learner(high_env, config.high, seed, bounded_mean=True)
         env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)
         self.lln = make_learner(env, config.low, seed + 1, bounded_mean=False)
@@ -46,16 +37,12 @@ class TwoLayerTraining(RecurrentTraining):
         self.lln.return_cuts = np.array(self.env.cuts)
         self.lln.train()
         if (done // self.steps_per_update + 1) % self.config.hierarchy.sgn_every == 0:
-            self._train_sgn()
+            high = self.config.high
+            rollout = self.env.high.rollout(high.gamma, high.gae_lambda, high.sequence_length)
+            if rollout is not None:  # what SGN decided since the last time
+                self.sgn.external_rollout = rollout
+                self.sgn.train()
         return self.row()
-
-    def _train_sgn(self) -> None:
-        """Train SGN on what it decided since the last time."""
-        high = self.config.high
-        rollout = self.env.high.rollout(high.gamma, high.gae_lambda, high.sequence_length)
-        if rollout is not None:
-            self.sgn.external_rollout = rollout
-            self.sgn.train()
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return both layers with their sizes; see ``Training``."""

@@ -11,8 +11,6 @@ the training log). A previous action further ahead of the angle than a step can 
 blocked does not wind its set-point up.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,10 +1,8 @@
-"""Configurations that methods share: frozen records with a sentence under each field.
+"""Configurations that methods share: frozen records with a sentence beside each field.
 
 Each method has a class of its own that adds its sections, such as ``reproduce.hrl_dcs.config.HierarchicalConfig``.
 What the presets hold for them is in ``reproduce.experiments.presets``.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -24,43 +22,26 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 class LearnerConfig:
     """Settings of one recurrent PPO learner."""
 
-    n_steps: PositiveInt = 128
-    """Environment steps a rollout and environment. ML-Agents' default buffer is 640; shorter updates more often."""
-    batch_size: PositiveInt = 512
-    """Transitions a minibatch; ML-Agents' default is 1024."""
-    n_epochs: PositiveInt = 4
-    """Passes over a rollout; ML-Agents' default is 3."""
-    learning_rate: PositiveFloat = 3.0e-4
-    """Falls linearly to ``final_learning_rate``; ML-Agents' default start."""
-    final_learning_rate: NonNegativeFloat = 3.0e-5
-    """Learning rate at the last step; ML-Agents falls to 1e-10."""
-    gamma: Share = 0.99
-    """Discount; paper, section 4.1."""
+    n_steps: PositiveInt = 128  # Steps a rollout and environment; ML-Agents' buffer is 640, shorter updates more often
+    batch_size: PositiveInt = 512  # Transitions a minibatch; ML-Agents' default is 1024
+    n_epochs: PositiveInt = 4  # Passes over a rollout; ML-Agents' default is 3
+    learning_rate: PositiveFloat = 3.0e-4  # Falls linearly to `final_learning_rate`; ML-Agents' default start
+    final_learning_rate: NonNegativeFloat = 3.0e-5  # Learning rate at the last step; ML-Agents falls to 1e-10
+    gamma: Share = 0.99  # Discount; paper, section 4.1
+    # Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway.
+    # That of flat methods is by their tuning trials (`reproduce/experiments/trials.toml`).
     gae_lambda: Share = 0.95
-    """Lambda of the advantage estimate; ML-Agents' default. LLN's is 0.7: its returns end after N steps anyway. That of
-    flat methods is by their tuning trials (``reproduce/experiments/trials.toml``)."""
-    clip_range: PositiveFloat = 0.2
-    """epsilon, acceptable difference of old and new policy; paper, section 4.1."""
-    ent_coef: NonNegativeFloat = 1.0e-4
-    """Entropy weight; paper beta = 1e-3 on a mean over action dimensions, about beta / n_actions on SB3's sum."""
-    vf_coef: NonNegativeFloat = 0.5
-    """Weight of the value loss; SB3's default."""
-    max_grad_norm: PositiveFloat = 0.5
-    """Gradient clipping; SB3's default, ML-Agents has none."""
-    hidden_units: Units = 128
-    """Units of each layer and of the LSTM; paper, section 4.1 ("128 hidden layers")."""
-    sequence_length: PositiveInt = 32
-    """Steps through time in a gradient; ML-Agents' default is 64."""
-    log_std_init: float = -1.1
-    """Logarithm of the initial standard deviation; the equal of ML-Agents' clamp(x, -3, 3) / 3."""
-    final_log_std: float = 0.0
-    """The standard deviation's logarithm stays under a line from ``log_std_init`` to this; not under it if above."""
-    noise_share: Share = 0.6
-    """Share of the steps at which that line has come down."""
-    desired_kl: NonNegativeFloat = 0.0
-    """Where positive, the learning rate follows the approximate KL of the last update, within the schedule's bounds."""
-    final_desired_kl: NonNegativeFloat = 0.0
-    """``desired_kl`` at the last step, on a line between; not used where ``desired_kl`` is 0."""
+    clip_range: PositiveFloat = 0.2  # epsilon, acceptable difference of old and new policy; paper, section 4.1
+    ent_coef: NonNegativeFloat = 1.0e-4  # Entropy weight; paper beta = 1e-3 is on a mean over actions, SB3's on a sum
+    vf_coef: NonNegativeFloat = 0.5  # Weight of the value loss; SB3's default
+    max_grad_norm: PositiveFloat = 0.5  # Gradient clipping; SB3's default, ML-Agents has none
+    hidden_units: Units = 128  # Units of each layer and of the LSTM; paper, section 4.1 ("128 hidden layers")
+    sequence_length: PositiveInt = 32  # Steps through time in a gradient; ML-Agents' default is 64
+    log_std_init: float = -1.1  # Logarithm of the first standard deviation; the equal of ML-Agents' clamp(x, -3, 3) / 3
+    final_log_std: float = 0.0  # The logarithm stays under a line from `log_std_init` to this; not under it if above
+    noise_share: Share = 0.6  # Share of the steps at which that line has come down
+    desired_kl: NonNegativeFloat = 0.0  # Where positive, the learning rate follows the last update's KL
+    final_desired_kl: NonNegativeFloat = 0.0  # `desired_kl` at the last step, on a line between; unused where that is 0
 
 
 @checked
@@ -68,8 +49,7 @@ class LearnerConfig:
 class PolicyConfig:
     """What ``policy.json`` holds besides networks; methods that need more to act add it."""
 
-    mirrored: bool
-    """Whether the networks see scenes through ``reproduce.learning.mirror``."""
+    mirrored: bool  # Whether the networks see scenes through `reproduce.learning.mirror`
 
 
 @checked
@@ -77,23 +57,16 @@ class PolicyConfig:
 class TrainingConfig:
     """One training, as far as all methods share it."""
 
-    steps: PositiveInt
-    """Environment steps of all environments together, as the paper counts them."""
-    n_envs: PositiveInt = 16
-    """Parallel agents; paper, section 4.1."""
-    checkpoint_every: PositiveInt = 25
-    """Updates between checkpoints; environments begin anew there, so that a resumed run repeats bit for bit."""
-    reward: RewardWeights = field(default_factory=RewardWeights)
-    """Weights of the environment's reward, which is EXR."""
-    obstacle_reward: Literal["aapf", "contact"] = "aapf"
-    """``"aapf"`` or, in the ablation, ``"contact"``."""
-    scenes: Literal["all", "easy"] = "all"
-    """``"all"``, or ``"easy"``: one posture, no rocks, the lightest astronaut."""
+    steps: PositiveInt  # Environment steps of all environments together, as the paper counts them
+    n_envs: PositiveInt = 16  # Parallel agents; paper, section 4.1
+    checkpoint_every: PositiveInt = 25  # Updates between checkpoints; environments begin anew there, as after a resume
+    reward: RewardWeights = field(default_factory=RewardWeights)  # Weights of the environment's reward, which is EXR
+    obstacle_reward: Literal["aapf", "contact"] = "aapf"  # `"aapf"` or, in the ablation, `"contact"`
+    scenes: Literal["all", "easy"] = "all"  # `"all"`, or `"easy"`: one posture, no rocks, the lightest astronaut
+    # How many times as often as postures on a side, which are learnt first, training draws those face up and down.
+    # Rates in `progress.csv` are weighed back to what tests draw, all postures alike.
     lying_weight: PositiveInt = 1
-    """Training draws postures face up and face down so many times as often as those on a side, which are learnt first:
-    a curriculum over postures. Rates in ``progress.csv`` are weighed back to what tests draw, all postures alike."""
-    mirrored: bool = True
-    """Whether learners see scenes so that the astronaut's head is on arm A's side, see ``learning.mirror``."""
+    mirrored: bool = True  # Whether learners see the astronaut's head on arm A's side, see `learning.mirror`
 
     @property
     def policy(self) -> PolicyConfig:
@@ -106,5 +79,4 @@ class TrainingConfig:
 class RecurrentConfig(TrainingConfig):
     """A training with recurrent PPO; all that a flat method has."""
 
-    low: LearnerConfig = field(default_factory=LearnerConfig)
-    """LLN, or the only level of a flat method."""
+    low: LearnerConfig = field(default_factory=LearnerConfig)  # LLN, or the only level of a flat method

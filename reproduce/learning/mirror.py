@@ -11,8 +11,7 @@ of these x and z turn round instead. Joint angles are counted alike for both arm
 are swapped and keep their signs.
 """
 
-from __future__ import annotations
-
+import re
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ Floats = NDArray[np.float32]
 
 POLAR = (1.0, -1.0, 1.0)  # points and directions
 AXIAL = (-1.0, 1.0, -1.0)
+_OTHER = {"left": "right", "right": "left"}
 
 #: Where each joint's action comes from: arm B's, arm A's, the waist's own.
 ACTIONS = np.r_[5:10, 0:5, 10]
@@ -46,7 +46,8 @@ def _observation_map() -> tuple[NDArray[np.int64], Floats]:
     source[arm_a], source[arm_b] = np.arange(arm_b.start, arm_b.stop), np.arange(arm_a.start, arm_a.stop)
     sign[arm_a] = sign[arm_b] = [1.0] * 15 + [*POLAR] * 2  # angles, speeds, torques; end, direction
     put("P_G", np.arange(18).reshape(3, 2, 3)[:, ::-1].ravel(), [*POLAR] * 6)
-    points = 15 + 3 * np.array([KEYPOINT_NAMES.index(_other(name)) for name in KEYPOINT_NAMES])
+    names = [re.sub("left|right", lambda side: _OTHER[side[0]], name, count=1) for name in KEYPOINT_NAMES]
+    points = 15 + 3 * np.array([KEYPOINT_NAMES.index(name) for name in names])
     body = [*POLAR, *POLAR, *AXIAL, *POLAR, *AXIAL]  # centre, front, left, velocity, spin
     put("P_P", [*range(15), *(points[:, None] + np.arange(3)).ravel()], body + [*POLAR] * len(KEYPOINT_NAMES))
     put("P_E", np.arange(5 * MAX_ROCKS), [*POLAR, 1.0, 1.0] * MAX_ROCKS)
@@ -55,12 +56,6 @@ def _observation_map() -> tuple[NDArray[np.int64], Floats]:
     put("P_R", np.arange(4), [1.0, -1.0, 1.0, -1.0])  # x, y, cos and sin of the heading
     put("a_prev", ACTIONS)
     return source, sign
-
-
-def _other(name: str) -> str:
-    if name.startswith("left"):
-        return name.replace("left", "right")
-    return name.replace("right", "left")
 
 
 _SOURCE, _SIGN = _observation_map()

@@ -7,8 +7,6 @@ LLN  s_t, g_t, a_{t-1} -> encoder (tanh) -> LSTM -> fully connected -> joint act
 Task code I and previous action a_{t-1} are part of the observation. Each has a feed-forward critic of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,30 +21,71 @@ from stable_baselines3.common.type_aliases import Schedule
 from torch import nn
 
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.standardiser import Standardiser
 from reproduce.storage.policies import Spec
 
 Floats = NDArray[np.float32]
+LIMIT = 5.0  # standard deviations
+LEAST_DEVIATION = 0.01  # in the observation's units; what hardly varies is not blown up further
 
 
 def flat_spaces(observations: int, actions: int) -> tuple[spaces.Box, spaces.Box]:
     """Return the spaces of observations (observations,), without bounds, and of actions (actions,) in [-1, 1]."""
-    return (
-        spaces.Box(-np.inf, np.inf, (observations,), np.float32),
-        spaces.Box(-1.0, 1.0, (actions,), np.float32),
-    )
+    return spaces.Box(-np.inf, np.inf, (observations,), np.float32), spaces.Box(-1.0, 1.0, (actions,), np.float32)
+
+
+def flat_box(name: str, space: spaces.Space[Any]) -> spaces.Box:
+    """Return a space that is a Box of one dimension; any other is a ``ValueError`` with its name."""
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
+    return space
+
+
+class Standardiser(nn.Module):
+    """Subtracts the mean and divides by the standard deviation of the observations of past rollouts.
+
+    Distances of centimetres decide here, beside coordinates of metres: without it learning is several times slower
+    (see the training log). The statistics are buffers, so they travel with the weights. It begins as the identity.
+    """
+
+    mean: th.Tensor
+    variance: th.Tensor
+    count: th.Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", th.zeros(size))
+        self.register_buffer("variance", th.ones(size))
+        self.register_buffer("count", th.zeros(1))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """Standardise observations (..., d), within ``LIMIT`` deviations."""
+        scaled = (observations - self.mean) / th.sqrt(self.variance + LEAST_DEVIATION**2)
+        return th.clamp(scaled, -LIMIT, LIMIT)
+
+    @th.no_grad()
+    def observe(self, observations: th.Tensor) -> None:
+        """Take the observations of a rollout (m, d) into the statistics (Chan's parallel update)."""
+        new, mean, variance = float(len(observations)), observations.mean(0), observations.var(0, unbiased=False)
+        old = float(self.count)
+        total, delta = old + new, mean - self.mean
+        spread = self.variance * old + variance * new + delta**2 * old * new / total
+        self.mean += delta * new / total
+        self.variance.copy_(spread / total)
+        self.count.fill_(total)
+
+
+def observe_all(network: nn.Module, observations: Floats) -> None:
+    """Let every standardiser inside a network see the observations of a rollout (m, d)."""
+    for module in network.modules():
+        if isinstance(module, Standardiser):
+            module.observe(th.from_numpy(observations))
 
 
 class StateEncoder(BaseFeaturesExtractor):
     """Standardised observations through one fully connected layer, so that the LSTM sees features."""
 
     def __init__(self, observation_space: spaces.Box, features_dim: int = 128) -> None:
-        """Make the layer.
-
-        Args:
-            observation_space: Flat observations (d,).
-            features_dim: Units.
-        """
+        """Make the layer of ``features_dim`` units for flat observations (d,)."""
         super().__init__(observation_space, features_dim)
         size = observation_space.shape[0]
         self.layer = nn.Sequential(Standardiser(size), nn.Linear(size, features_dim), nn.Tanh())
@@ -69,28 +108,14 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
         bounded_mean: bool = False,
         **kwargs: Any,
     ) -> None:
-        """Build the network.
-
-        Args:
-            observation_space: Flat observations.
-            action_space: Box in [-1, 1].
-            lr_schedule: Learning rate.
-            hidden_units: Units of every layer and of the LSTM; paper: 128.
-            bounded_mean: Whether the mean passes a tanh, as SGN's sub-goals do.
-            **kwargs: See SB3's policies.
-        """
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch=[hidden_units],
-            features_extractor_class=StateEncoder,
-            features_extractor_kwargs={"features_dim": hidden_units},
-            share_features_extractor=False,
-            lstm_hidden_size=hidden_units,
-            enable_critic_lstm=False,
-            **kwargs,
-        )
+        """Build it with ``hidden_units`` in every layer and the LSTM; with ``bounded_mean`` the mean passes a tanh."""
+        encoder = {
+            "features_extractor_class": StateEncoder,
+            "features_extractor_kwargs": {"features_dim": hidden_units},
+        }
+        kwargs |= {"share_features_extractor": False, "enable_critic_lstm": False, **encoder}
+        sizes: Any = {"net_arch": [hidden_units], "lstm_hidden_size": hidden_units}
+        super().__init__(observation_space, action_space, lr_schedule, **sizes, **kwargs)
         if bounded_mean:
             self.action_net = nn.Sequential(self.action_net, nn.Tanh())
         make_optimizer: Any = self.optimizer_class
@@ -102,11 +127,10 @@ class RecurrentNetwork(RecurrentActorCriticPolicy):
 class NetworkSpec(Spec):
     """All that is needed to build a ``RecurrentNetwork``."""
 
-    bounded_mean: bool
-    """Whether the mean passes a tanh."""
+    bounded_mean: bool  # Whether the mean passes a tanh
 
     def build(self) -> RecurrentNetwork:
-        """Make the network, not trained."""
+        """Make a network of these sizes, not trained."""
         seen, acts = flat_spaces(self.observations, self.actions)
         return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean)
 
@@ -136,10 +160,9 @@ class Memory:
 
     @th.no_grad()
     def draw(self, observations: Floats, rows: NDArray[np.int64]) -> tuple[Floats, Floats, Floats, Floats]:
-        """Draw outputs for observations (m, d) of environments ``rows`` (m,).
+        """Draw outputs (m, a) for observations (m, d) of environments ``rows`` (m,).
 
-        Returns:
-            Outputs (m, a), logarithms of their probability density (m,), values (m,) and the states before (m, 2, h).
+        Returned with the logarithms of their probability density (m,), values (m,) and the states before (m, 2, h).
         """
         index = th.from_numpy(rows)
         hidden, cell = self._states[:, :, index]

@@ -1,15 +1,18 @@
 """What every method offers after training: a way to act on a batch of observations."""
 
-from __future__ import annotations
-
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_rescue.observation import SIZE
+from lunar_rescue.physics.robot import JOINTS
 from reproduce.learning.actions import to_environment
+from reproduce.learning.config import PolicyConfig
 from reproduce.learning.mirror import Mirror
+from reproduce.storage.policies import Spec, load_networks, load_policy_config
 
 Observations = NDArray[np.float32]
 Actions = NDArray[np.float32]
@@ -19,30 +22,25 @@ class Policy(Protocol):
     """Acts on flat observations of several environments at once and keeps its own memory of each."""
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """Choose actions.
+        """Choose actions (n, 11) in [-1, 1] for flat observations (n, SIZE).
 
-        Args:
-            observations: Flat observations (n, SIZE).
-            starts: Which environments begin an episode with this observation (n,); in the first call all do.
-
-        Returns:
-            Actions (n, 11) in [-1, 1].
+        ``starts`` (n,) says which environments begin an episode with this observation; in the first call all do.
         """
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return what the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
+        return {}  # most methods aim at no point in space
 
 
-class MirroredPolicy(ABC):
+class MirroredPolicy(Policy):
     """Networks that act every step, seeing scenes through ``reproduce.learning.mirror`` if they were trained so."""
 
     def __init__(self, mirrored: bool) -> None:
         """Make a policy that acts in no environment yet."""
         self.mirrored, self._count = mirrored, 0
 
-    @abstractmethod
     def begin(self, count: int) -> None:
-        """Forget everything and be ready for ``count`` environments."""
+        """Forget everything, if there is a memory, and be ready for ``count`` environments."""
 
     @abstractmethod
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
@@ -59,6 +57,8 @@ class MirroredPolicy(ABC):
         seen = self._mirror.observations(observations)
         return self._mirror.actions(to_environment(seen, self.outputs(seen, starts)))
 
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return nothing to draw: no sub-goal that lies in space."""
-        return {}
+
+def load_only_network(folder: Path, level: str, kind: type[Spec]) -> tuple[Any, bool]:
+    """Return the network of a run folder's only level and whether it sees scenes mirrored; see ``load_networks``."""
+    networks = load_networks(folder, {level: (SIZE, JOINTS)}, kind)
+    return networks[level], load_policy_config(folder, PolicyConfig).mirrored

@@ -4,8 +4,8 @@ The stock learner loops over time in Python whenever an episode starts inside a 
 at episode starts, so one fused LSTM call serves a minibatch.
 """
 
-from __future__ import annotations
-
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,31 +16,26 @@ from sb3_contrib.common.recurrent.buffers import RecurrentRolloutBuffer
 from stable_baselines3.common.utils import explained_variance
 from torch.nn import functional
 
-from reproduce.learning.finite import check_losses
+from reproduce.learning.networks import observe_all
 from reproduce.learning.sequences import (
     TARGETS,
     Minibatch,
     Rollout,
     advantages_and_returns,
+    as_tensor,
+    env_major,
     minibatches,
     sequence_bounds,
 )
-from reproduce.learning.standardiser import observe_all
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
+from reproduce.storage.errors import RunFailedError
 
 RATE_STEP = 1.2  # factor by which the learning rate changes after an update, where it follows the KL
 LEAST_FACTOR = 1.0 / 30.0
 
 
 class SequencePPO(RecurrentPPO):
-    """RecurrentPPO over flat observations with a feed-forward critic or an actor-only LSTM.
-
-    Attributes:
-        external_rollout: Transitions to train on that were collected elsewhere; SGN's are collected in LLN's view.
-        return_cuts: After which steps returns are cut although episode and memory go on, (n_steps, n_envs).
-        rate_factor: What the schedule's learning rate is multiplied by, in [1 / 30, 1].
-        where: Name of the learner and number of the update, for errors; a training sets it.
-    """
+    """RecurrentPPO over flat observations, for a ``RecurrentNetwork``: an LSTM in the actor, none in the critic."""
 
     def __init__(
         self,
@@ -50,26 +45,22 @@ class SequencePPO(RecurrentPPO):
         desired_kl: tuple[float, float] = (0.0, 0.0),
         **kwargs: Any,
     ) -> None:
-        """Make a learner as RecurrentPPO does, with three settings more.
+        """Make a learner as RecurrentPPO does; ``batch_size`` counts transitions.
 
-        Args:
-            *args: See ``RecurrentPPO``.
-            sequence_length: Most steps that the gradient flows back through time.
-            log_std_line: The logarithm of the actions' standard deviation stays under a line: its beginning, its end,
-                and the share of the training at which it has come down.
-            desired_kl: KL of an update at the beginning and at the end of the training, on a line between. Where
-                positive, ``rate_factor`` falls when an update's approximate KL is over twice this and rises when it is
-                under half.
-            **kwargs: See ``RecurrentPPO``; ``batch_size`` counts transitions.
+        The gradient flows back through time over at most ``sequence_length`` steps. The logarithm of the actions'
+        standard deviation stays under ``log_std_line``: its beginning, its end, and the share of the training at which
+        it has come down. ``desired_kl`` is an update's KL at the beginning and at the end, on a line between: where
+        positive, ``rate_factor`` falls when an update's KL is over twice this and rises when it is under half.
         """
         if sequence_length < 1:
             raise ValueError(f"sequence_length: expected at least 1, got {sequence_length!r}")
         self.sequence_length = sequence_length
         self.log_std_line, self.desired_kl = log_std_line, desired_kl
-        self.rate_factor = 1.0
-        self.external_rollout: Rollout | None = None
+        self.rate_factor = 1.0  # what the schedule's learning rate is multiplied by, in [1 / 30, 1]
+        self.external_rollout: Rollout | None = None  # to train on, collected elsewhere: SGN's come from LLN's view
+        # After which steps returns are cut although episode and memory go on, (n_steps, n_envs).
         self.return_cuts: NDArray[np.bool_] | None = None
-        self.where = type(self).__name__
+        self.where = type(self).__name__  # name of the learner and number of the update, for errors
         super().__init__(*args, **kwargs)
         self.batch_rng = np.random.default_rng(self.seed)
 
@@ -102,8 +93,9 @@ class SequencePPO(RecurrentPPO):
         hidden = np.where(starts[:, :, None, None], np.float32(0.0), hidden)
         if self.return_cuts is not None:
             self._cut_returns(buffer, self.return_cuts)
-        columns = {name: _env_major(getattr(buffer, name)) for name in ("observations", *TARGETS)}
-        return Rollout(**columns, hidden=_env_major(hidden), bounds=np.array(bounds, dtype=np.int64))
+        columns = {name: getattr(buffer, name) for name in ("observations", *TARGETS)} | {"hidden": hidden}
+        whole = {name: env_major(as_tensor(array)).numpy() for name, array in columns.items()}
+        return Rollout(**whole, bounds=np.array(bounds, dtype=np.int64))
 
     def _cut_returns(self, buffer: RecurrentRolloutBuffer, cuts: NDArray[np.bool_]) -> None:
         """Estimate advantages and returns anew, with nothing flowing back over a cut."""
@@ -116,11 +108,7 @@ class SequencePPO(RecurrentPPO):
         )
 
     def train(self) -> None:
-        """Take ``n_epochs`` passes over the rollout, with RecurrentPPO's losses.
-
-        Raises:
-            RunFailedError: When a loss is not finite; no step is taken by it.
-        """
+        """Take ``n_epochs`` passes over the rollout; a ``RunFailedError`` stops at a loss that is not finite."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         for group in self.policy.optimizer.param_groups:
@@ -133,16 +121,11 @@ class SequencePPO(RecurrentPPO):
                 loss, log = self.losses(batch, {name: tensor[batch.rows] for name, tensor in targets.items()})
                 check_losses(self.where, log)
                 logs.append(log)
-                if self.target_kl is not None and log["approx_kl"] > 1.5 * self.target_kl:
-                    break
                 self.policy.optimizer.zero_grad()
                 loss.backward()
                 th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
                 self.policy.optimizer.step()
-            else:
-                self._n_updates += 1
-                continue
-            break
+            self._n_updates += 1
         self._limit_noise()
         # Only now, so that the rollout's log probabilities stayed what they were while it was learnt from.
         observe_all(self.policy, rollout.observations)
@@ -170,49 +153,36 @@ class SequencePPO(RecurrentPPO):
 
     def losses(self, batch: Minibatch, data: dict[str, th.Tensor]) -> tuple[th.Tensor, dict[str, float]]:
         """Return PPO's loss of one minibatch, and its parts by name for logging."""
-        progress = self._current_progress_remaining
-        clip = self.clip_range(progress)  # type: ignore[operator]
+        clip = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
         values, log_prob, entropy = self.evaluate_sequences(batch, data["actions"])
         advantages = data["advantages"]
         if self.normalize_advantage and len(advantages) > 1:  # one alone has no deviation
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         ratio = th.exp(log_prob - data["log_probs"])
         policy_loss = -th.min(advantages * ratio, advantages * th.clamp(ratio, 1 - clip, 1 + clip)).mean()
-        predicted = values
-        if self.clip_range_vf is not None:
-            most = self.clip_range_vf(progress)  # type: ignore[operator]
-            predicted = data["values"] + th.clamp(values - data["values"], -most, most)
-        value_loss = functional.mse_loss(data["returns"], predicted)
+        value_loss = functional.mse_loss(data["returns"], values)
         entropy_loss = -th.mean(entropy) if entropy is not None else th.mean(log_prob)
         loss = policy_loss + self.ent_coef * entropy_loss + self.vf_coef * value_loss
         with th.no_grad():
-            log_ratio = log_prob.detach() - data["log_probs"]
+            log_ratio = log_prob - data["log_probs"]
             log = {
-                "policy_gradient_loss": float(policy_loss.detach()),
-                "value_loss": float(value_loss.detach()),
-                "entropy_loss": float(entropy_loss.detach()),
-                "loss": float(loss.detach()),
-                "approx_kl": float(th.mean((th.exp(log_ratio) - 1) - log_ratio)),
-                "clip_fraction": float(th.mean((th.abs(ratio - 1) > clip).float())),
+                "policy_gradient_loss": policy_loss,
+                "value_loss": value_loss,
+                "entropy_loss": entropy_loss,
+                "loss": loss,
+                "approx_kl": th.mean((th.exp(log_ratio) - 1) - log_ratio),
+                "clip_fraction": th.mean((th.abs(ratio - 1) > clip).float()),
             }
-        return loss, log
+        return loss, {name: value.item() for name, value in log.items()}
 
     def evaluate_sequences(self, batch: Minibatch, actions: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor | None]:
         """Return values, log probabilities and entropies (m,) of a minibatch's real transitions, by one LSTM call."""
         policy: Any = self.policy  # sb3-contrib types its parts too loosely to follow
-        features = policy.extract_features(batch.observations.flatten(0, 1))
-        pi_features, vf_features = (features, features) if policy.share_features_extractor else features
+        pi_features, vf_features = policy.extract_features(batch.observations.flatten(0, 1))
         length, count = batch.mask.shape
         memory, _ = policy.lstm_actor(pi_features.view(length, count, -1), batch.hidden)
         memory = memory[batch.mask]
-        if policy.lstm_critic is not None:
-            raise ValueError(
-                "SequencePPO: enable_critic_lstm is not supported; use shared_lstm or a feed-forward critic"
-            )
-        if policy.shared_lstm:
-            latent_vf = memory.detach()
-        else:
-            latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
+        latent_vf = policy.critic(vf_features.view(length, count, -1)[batch.mask])
         distribution = policy._get_action_dist_from_latent(policy.mlp_extractor.forward_actor(memory))
         values = policy.value_net(policy.mlp_extractor.forward_critic(latent_vf)).flatten()
         return values, distribution.log_prob(actions), distribution.entropy()
@@ -225,7 +195,11 @@ class SequencePPO(RecurrentPPO):
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
 
 
-def _env_major(array: Any) -> Any:
-    """Lay (t, n, ...) out as (n * t, ...) in float32, each environment's steps together."""
-    swapped = np.swapaxes(np.asarray(array, dtype=np.float32), 0, 1)
-    return np.ascontiguousarray(swapped.reshape(-1, *swapped.shape[2:]))
+def check_losses(where: str, log: Mapping[str, float]) -> None:
+    """Stop a training with a ``RunFailedError`` at the first loss that is not finite, before it spoils the weights.
+
+    ``where`` names learner and update for the message; in the update's log, names of losses end in ``loss``.
+    """
+    for name, value in log.items():
+        if name.endswith("loss") and not math.isfinite(value):
+            raise RunFailedError(f"{where}: {name}: expected a finite number, got {value}; the training stops here")

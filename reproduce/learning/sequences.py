@@ -4,8 +4,6 @@ Time is not looped over in Python: a recurrent network sees a minibatch of seque
 that the network had when the sequence began (ML-Agents' ``sequence_length``, the natural reading of P9).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -49,16 +47,20 @@ class Minibatch:
     rows: th.Tensor  # index of each real transition in the rollout
 
 
+def as_tensor(array: Any) -> th.Tensor:
+    """Convert to a float32 tensor, whatever the environment's own type is."""
+    return th.from_numpy(np.asarray(array, np.float32))
+
+
+def env_major(tensor: th.Tensor) -> th.Tensor:
+    """Lay (t, n, ...) out as (n * t, ...), each environment's steps together."""
+    return tensor.transpose(0, 1).flatten(0, 1).contiguous()
+
+
 def sequence_bounds(starts: NDArray[np.bool_], first: int, length: int) -> list[tuple[int, int]]:
-    """Cut one environment's transitions into sequences.
+    """Cut an environment's transitions, from index ``first`` of the rollout on, into sequences of at most ``length``.
 
-    Args:
-        starts: Which transitions begin an episode, (t,).
-        first: Index of the environment's first transition in the whole rollout.
-        length: Most transitions in a sequence.
-
-    Returns:
-        Beginning and end of each sequence, as indices into the whole rollout.
+    ``starts`` (t,) says which transitions begin an episode. Returns beginning and end of each sequence in the rollout.
     """
     cuts = [0, *[int(i) for i in np.flatnonzero(starts) if i > 0], len(starts)]
     bounds = []
@@ -97,18 +99,9 @@ def advantages_and_returns(
 ) -> tuple[Floats, Floats]:
     """Estimate advantages and returns by generalised advantage estimation (Schulman et al. 2016, Eq. 16).
 
-    Time comes first; further axes, such as environments, are independent of each other. Sums are in double precision.
-
-    Args:
-        rewards: r_t, (t, ...).
-        values: V(s_t), (t, ...).
-        last_values: V of the state after the last step, (...); ignored where the last step ended an episode.
-        ends: Whether nothing that comes after the step counts, as its episode ended with it, (t, ...).
-        gamma: Discount.
-        lam: GAE's lambda.
-
-    Returns:
-        Advantages and returns (advantage plus value), (t, ...) each.
+    All are (t, ...): time comes first, further axes, such as environments, are independent of each other. ``ends`` says
+    after which steps nothing counts any more, as the episode ended; ``last_values`` (...) are of the state after the
+    last step, where it did not end one. Returns are advantage plus value. Sums are in double precision.
     """
     going_on = 1.0 - ends
     following = np.concatenate([values[1:], np.asarray(last_values)[None]])

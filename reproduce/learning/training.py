@@ -1,24 +1,25 @@
 """What the trainings of all methods share: environments, schedules, summaries of episodes."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from torch import nn
 
+from lunar_rescue.env import OUTCOME
 from lunar_rescue.scenes.postures import Posture, postures
+from reproduce.learning.actions import to_environment
 from reproduce.learning.config import LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.mirror import Environments, MirroredVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.workers import ClosedVecEnv, EnvOptions, WorkerVecEnv
+from reproduce.learning.workers import RETURN, ClosedVecEnv, EnvOptions, WorkerVecEnv
 from reproduce.storage.policies import Spec
 
 
@@ -36,39 +37,29 @@ def _weight(posture: Posture, lying_weight: int) -> int:
     return 1 if posture.attitude.endswith("side") else lying_weight
 
 
-def stock_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """Return what SB3's and sb3-contrib's recurrent PPO take of a learner's configuration."""
-    first, last = config.learning_rate, config.final_learning_rate
-    names = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
-    same = {name: getattr(config, name) for name in names}
-    return {"learning_rate": lambda left: last + left * (first - last), "device": "cpu", **same}
-
-
-def own_arguments(config: LearnerConfig) -> dict[str, Any]:
-    """Return what only ``SequencePPO`` and its subclasses take of it."""
-    return {
-        "sequence_length": config.sequence_length,
-        "log_std_line": (config.log_std_init, config.final_log_std, config.noise_share),
-        "desired_kl": (config.desired_kl, config.final_desired_kl),
-    }
+#: What SB3's and sb3-contrib's recurrent PPO take of a learner's configuration as it is.
+_SAME = "n_steps batch_size n_epochs gamma gae_lambda clip_range ent_coef vf_coef max_grad_norm".split()
 
 
 def make_learner(
-    env: Any, config: LearnerConfig, seed: int, bounded_mean: bool, kind: type[RecurrentPPO] = SequencePPO
+    env: Any,
+    config: LearnerConfig,
+    seed: int,
+    bounded_mean: bool = False,
+    kind: type[RecurrentPPO] = SequencePPO,
+    network: Any = RecurrentNetwork,
+    **more: Any,
 ) -> Any:
-    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours or, to compare with, the stock one."""
-    learner = kind(
-        RecurrentNetwork,
-        env,
-        policy_kwargs={
-            "hidden_units": config.hidden_units,
-            "bounded_mean": bounded_mean,
-            "log_std_init": config.log_std_init,
-        },
-        seed=seed,
-        **stock_arguments(config),
-        **(own_arguments(config) if issubclass(kind, SequencePPO) else {}),
-    )
+    """Make a recurrent PPO learner as SB3 knows it; ``kind`` is ours, takes ``more``, or is the stock one."""
+    sizes = {"hidden_units": config.hidden_units, "log_std_init": config.log_std_init}
+    more |= {name: getattr(config, name) for name in _SAME}
+    if issubclass(kind, SequencePPO):
+        more["sequence_length"] = config.sequence_length
+        more["log_std_line"] = (config.log_std_init, config.final_log_std, config.noise_share)
+        more["desired_kl"] = (config.desired_kl, config.final_desired_kl)
+    more["policy_kwargs"] = sizes | ({"bounded_mean": True} if bounded_mean else {})
+    first, last = config.learning_rate, config.final_learning_rate
+    learner = kind(network, env, lambda left: last + left * (first - last), seed=seed, device="cpu", **more)
     learner.set_logger(Logger(folder=None, output_formats=[]))
     return learner
 
@@ -93,41 +84,60 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
         values = [float(e.get(key, "nan")) for e in episodes]
         return float(np.average(values, weights=shares)) if episodes else float("nan")
 
-    return {
-        "episodes": len(episodes),
-        "success": mean("is_success"),
-        "both_arms_under": mean("both_arms_under"),
-        "return_high": mean("exr"),
-        "return_low": mean("inr"),
-        "episode_steps": mean("steps"),
-    }
+    keys = {"success": "is_success", "both_arms_under": "both_arms_under", "return_high": "exr"}
+    keys |= {"return_low": "inr", "episode_steps": "steps"}
+    return {"episodes": len(episodes), **{name: mean(key) for name, key in keys.items()}}
+
+
+class EpisodeLog(VecEnvWrapper):
+    """Turns a network's outputs into Eq. 3's actions and adds up the rewards of each episode."""
+
+    def __init__(self, venv: Any, **spaces: Any) -> None:
+        super().__init__(venv, **spaces)
+        self.episodes: list[dict[str, Any]] = []  # outcome, returns and steps; whoever reads the list empties it
+        self._totals = np.zeros((self.num_envs, 3))  # EXR, INR, steps
+
+    def reset(self) -> Any:
+        """Begin new episodes in all environments; those under way are not listed."""
+        self._totals[:] = 0.0
+        self._last: Any = self.venv.reset()
+        return self._last
+
+    def step_async(self, actions: Any) -> None:
+        """Send the network's outputs (n, 11) on as Eq. 3's actions."""
+        self.venv.step_async(to_environment(self._last, actions))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Wait for the environments and list the episodes that ended."""
+        self._last, rewards, dones, infos = self.venv.step_wait()
+        self.add_up(rewards, np.full(self.num_envs, np.nan), dones, infos)
+        return self._last, rewards, dones, infos
+
+    def add_up(self, exr: Any, inr: Any, dones: Any, infos: list[dict[str, Any]]) -> None:
+        """Add a step's rewards (n,), from outside and, where there are two layers, inside; list what ended."""
+        self._totals += np.column_stack([exr, inr, np.ones(self.num_envs)])
+        for index in np.flatnonzero(dones):
+            info, totals = infos[index], dict(zip(("exr", "inr", "steps"), self._totals[index], strict=True))
+            outcome = {key: info[key] for key in OUTCOME if key in info}
+            self.episodes.append({**outcome, **totals, "exr": info.get(RETURN, totals["exr"])})
+        self._totals[np.asarray(dones, bool)] = 0.0
 
 
 class Training(ABC):
     """A training under way; a subclass makes the learners and says what an update does.
 
-    Attributes:
-        config: The configuration.
-        venv: The environments.
-        env: The view of them in which one learner collects; it lists ended episodes in ``episodes``.
-        learners: All learners by level.
-        steps_per_update: Environment steps of one update.
-        logged: What of each learner's log goes into ``progress.csv``.
+    ``env`` is the view of the environments ``venv`` in which one learner collects and that lists ended ``episodes``;
+    ``learners`` holds all learners by level, ``steps_per_update`` the environment steps of an update.
     """
 
-    logged: tuple[str, ...] = ()
+    logged: tuple[str, ...] = ()  # what of each learner's log goes into ``progress.csv``
 
     def __init__(
-        self,
-        config: TrainingConfig,
-        venv: Environments,
-        env: Any,
-        collector: Any,
-        learners: Mapping[str, Any],
-        n_steps: int,
+        self, config: Any, venv: Environments, env: Any, collector: Any, learners: Mapping[str, Any], n_steps: int
     ) -> None:
         """Keep the parts and begin the first episodes; ``collector`` is the learner that steps ``env``."""
-        self.config, self.venv, self.env, self.learners = config, venv, env, learners
+        self.config: TrainingConfig = config
+        self.venv, self.env, self.learners = venv, env, learners
         self.steps_per_update = n_steps * config.n_envs
         self._collector = collector
         self.callback = start_collecting(collector, config.steps)
@@ -170,7 +180,7 @@ class RecurrentTraining(Training):
     """A training with recurrent PPO, one rollout an update."""
 
     config: RecurrentConfig
-    logged = ("approx_kl", "explained_variance", "std", "value_loss")
+    logged: tuple[str, ...] = ("approx_kl", "explained_variance", "std", "value_loss")
 
     def __init__(
         self, config: RecurrentConfig, venv: Any, env: Any, collector: Any, learners: Mapping[str, Any]
@@ -180,15 +190,18 @@ class RecurrentTraining(Training):
     def collect(self, done: int) -> None:
         """Take one rollout; ``done`` steps were taken before."""
         self.follow_schedule(done)
-        steps = self.config.low.n_steps
-        self._collector.collect_rollouts(self.env, self.callback, self._collector.rollout_buffer, steps)
+        learner = self._collector
+        learner.collect_rollouts(self.env, self.callback, learner.rollout_buffer, self.config.low.n_steps)
+
+    def update(self, done: int) -> dict[str, Any]:
+        """Collect a rollout and learn from it; ``done`` steps were taken before."""
+        self.collect(done)
+        self._collector.train()
+        return self.row()
 
 
 class OnlySpaces(ClosedVecEnv):
     """Spaces for a learner whose transitions are collected elsewhere; it is never stepped."""
-
-    def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any], count: int) -> None:
-        super().__init__(count, observation_space, action_space)
 
     def _never(self, *args: Any, **kwargs: Any) -> Any:
         raise RuntimeError("OnlySpaces: this learner's transitions are collected by SubGoalVecEnv")

@@ -4,8 +4,6 @@ Observations, rewards and reward terms travel through shared memory; only what h
 as a message. A scene's seed depends on the run's seed, the environment's index and the number of the episode alone.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import traceback
@@ -58,7 +56,7 @@ def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
 class _Worker:
     """One worker's share of the environments, on arrays that it shares with the others and the parent."""
 
-    def __init__(self, raws: list[Any], indices: range, count: int, options: EnvOptions, seed: int) -> None:
+    def __init__(self, raws: list[Any], indices: list[int], count: int, options: EnvOptions, seed: int) -> None:
         arrays = [_shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)]
         self._observations, self._actions, self._rewards, self._dones, self._terms = arrays
         self._envs = {index: LunarRescueEnv(**options.arguments) for index in indices}
@@ -69,7 +67,8 @@ class _Worker:
         pipe.send(None)
         while (command := pipe.recv_bytes()) != _CLOSE:
             if command == _STEP:
-                pipe.send(self.step())
+                # Index and final info of those whose episode ended.
+                pipe.send([(index, final) for index in self._envs if (final := self._step(index))])
             else:
                 self.reset(int(command[1:]))
                 pipe.send(None)
@@ -79,10 +78,6 @@ class _Worker:
         self._epoch, self._episodes, self._returns = epoch, dict.fromkeys(self._envs, 0), dict.fromkeys(self._envs, 0.0)
         for index in self._envs:
             self._begin(index)
-
-    def step(self) -> list[tuple[int, dict[str, Any]]]:
-        """Step all environments; return index and final info of those whose episode ended."""
-        return [(index, final) for index in self._envs if (final := self._step(index)) is not None]
 
     def _step(self, index: int) -> dict[str, Any] | None:
         vector, reward, terminated, truncated, info = self._envs[index].step_flat(self._actions[index])
@@ -157,23 +152,14 @@ class ClosedVecEnv(VecEnv):
 class WorkerVecEnv(ClosedVecEnv):
     """SB3's vectorised environment over flat observations of ``LunarRescue-v0``.
 
-    Attributes:
-        terms: Reward terms of the last step, (n, len(TERMS)).
-        epoch: Counts the times that a training began its episodes anew; set it before ``reset``.
+    ``terms`` holds the reward terms of the last step, (n, len(TERMS)). ``epoch`` counts the times that a training began
+    its episodes anew; set it before ``reset``.
     """
 
     def __init__(self, count: int, seed: int, options: EnvOptions | None = None, workers: int | None = None) -> None:
-        """Start worker processes and wait until their environments are made.
+        """Start worker processes, one a core unless ``workers`` says how many, and wait until environments are made.
 
-        Args:
-            count: Number of environments.
-            seed: The run's, from which all scenes follow.
-            options: How environments are made.
-            workers: Number of worker processes; None is one a core.
-
-        Raises:
-            ValueError: When there are no environments.
-            WorkerError: When a worker cannot make its environments.
+        All scenes follow from the run's ``seed``. Raises a ``WorkerError`` when a worker cannot make its environments.
         """
         if count < 1:
             raise ValueError(f"count: expected at least 1 environment, got {count!r}")
@@ -185,31 +171,27 @@ class WorkerVecEnv(ClosedVecEnv):
         self.epoch = 0
         acts = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
         super().__init__(count, spaces.Box(-BOUND, BOUND, (SIZE,), np.float32), acts)
+        start_fork_server()
         for part in np.array_split(np.arange(count), workers):
-            self._start(range(int(part[0]), int(part[-1]) + 1), options or EnvOptions({}), seed)
+            ours, theirs = _SPAWN.Pipe()
+            share = (list(self._raws), part.tolist(), count, options or EnvOptions({}), seed)
+            process = _SPAWN.Process(target=_work, args=(theirs, *share), daemon=True)
+            process.start()
+            theirs.close()
+            self._pipes.append(ours)
+            self._processes.append(process)
         self._receive_all()
 
-    def _start(self, indices: range, options: EnvOptions, seed: int) -> None:
-        ours, theirs = _SPAWN.Pipe()
-        arguments = (theirs, list(self._raws), indices, self.num_envs, options, seed)
-        start_fork_server()
-        process = _SPAWN.Process(target=_work, args=arguments, daemon=True)
-        process.start()
-        theirs.close()
-        self._pipes.append(ours)
-        self._processes.append(process)
-
     def _receive_all(self) -> list[Any]:
-        return [self._receive(index) for index in range(len(self._pipes))]
-
-    def _receive(self, index: int) -> Any:
-        try:
-            answer = self._pipes[index].recv()
-        except (EOFError, ConnectionResetError):
-            raise self._death(index) from None
-        if isinstance(answer, WorkerError):
-            raise WorkerError(f"worker {index} of {len(self._pipes)} raised:\n{answer}")
-        return answer
+        answers = []
+        for index, pipe in enumerate(self._pipes):
+            try:
+                answers.append(pipe.recv())
+            except (EOFError, ConnectionResetError):
+                raise self._death(index) from None
+            if isinstance(answers[-1], WorkerError):
+                raise WorkerError(f"worker {index} of {len(self._pipes)} raised:\n{answers[-1]}")
+        return answers
 
     def _send(self, message: bytes) -> None:
         for index, pipe in enumerate(self._pipes):

@@ -1,5 +1,1 @@
 """The report: a static site from the executed notebooks and results/, which opens from file:// and asks no network."""
-
-from reproduce.report.site import build_report
-
-__all__ = ["build_report"]

@@ -1,7 +1,5 @@
 """Act a rescue out while somebody looks on: what films, 3D replays and the live view share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue import Scene, sample_scene
-from reproduce.experiments.evaluate import find_policy
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from reproduce.experiments.evaluate import find_policy, run_episode
 from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 
@@ -22,45 +20,42 @@ class WatchedPolicy:
     """Wrap a policy and report its sub-goals before each action is executed."""
 
     def __init__(self, policy: Any, see: Callable[[NDArray[Any] | None], None]) -> None:
-        """Wrap a policy.
-
-        Args:
-            policy: Chooses the actions.
-            see: Called with the policy's sub-goals in the base frame (2, 3) [m], or None where it has none.
-        """
+        """Wrap a policy; ``see`` is given its sub-goals in the base frame (2, 3) [m], or None where it has none."""
         self._policy, self._see = policy, see
 
-    def prepare(self, scene: Scene) -> None:
-        """Tell the other policy the scene, if it wants to know."""
-        if hasattr(self._policy, "prepare"):
-            self._policy.prepare(scene)
+    def __getattr__(self, name: str) -> Any:
+        """Be the other policy in all else: ``prepare``, if it wants to know the scene, and ``overlay``."""
+        return getattr(self._policy, name)
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Choose actions as the other policy does, then report; see ``Policy.act``."""
         actions: Actions = self._policy.act(observations, starts)
-        subgoals = self.overlay().get("sub-goal")
+        subgoals = self._policy.overlay().get("sub-goal")
         self._see(None if subgoals is None else subgoals[0])
         return actions
-
-    def overlay(self) -> dict[str, NDArray[Any]]:
-        """Return what the other policy wants drawn."""
-        drawn: dict[str, NDArray[Any]] = self._policy.overlay()
-        return drawn
 
 
 def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
     """Load the policy and draw the scene of a rescue that is to be shown.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Seed of the scene.
-        posture: Draw the scene with this posture.
-        task: Draw the scene with this task.
+    ``where`` is a run folder, or a method that does not learn by its name.
     """
     if seed < 0:
         raise UserError(f"seed: expected at least 0, got {seed}")
     _, policy = find_policy(where)
     return policy, sample_scene(seed, posture=posture, task=task)
+
+
+def act_out(
+    env: LunarRescueEnv, policy: Policy, scene: Scene, see: Callable[[NDArray[Any] | None, str], None]
+) -> dict[str, Any]:
+    """Act one rescue out while somebody looks on; return how it ended, as from ``run_episode``.
+
+    ``see`` is called before each step with the sub-goals (2, 3) [m] or None and ""; at the end, None and the ending.
+    """
+    row = run_episode(env, WatchedPolicy(policy, lambda subgoals: see(subgoals, "")), scene)
+    see(None, ending(row))
+    return row
 
 
 def ending(row: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from lunar_rescue.pictures.overlay import (
     MARK_COLOUR,
     NEAR_STOPS,
     SUBGOAL_COLOUR,
+    Link,
     caption,
     near_colour,
     nearest_links,
@@ -45,51 +47,22 @@ FAR_AWAY = np.full(3, -50.0)  # m, where things are put that are not to be seen
 
 @dataclass(frozen=True)
 class Moment:
-    """Where everything is after one step.
+    """Say where everything is after one step: places [m] and quaternions, x y z w, in the scene."""
 
-    Attributes:
-        links: Place and quaternion (x y z w) of each link's frame.
-        suit: Place and quaternion of the suit's meshes.
-        ends: Arm ends (2, 3) [m].
-        targets: Target areas (2, 3) [m].
-        subgoals: In the scene (2, 3) [m], or None.
-        near: For each rock the joint and the mark point nearest to each other (2, 3) [m], and the colour.
-        words: Caption.
-    """
-
-    links: dict[int, tuple[Array, Array]]
-    suit: tuple[Array, Array]
-    ends: Array
-    targets: Array
-    subgoals: Array | None
-    near: list[tuple[Array, tuple[int, int, int]]]
-    words: str
-
-
-def _moment(episode: Episode, stage: StageSet, subgoals: NDArray[Any] | None, words: str) -> Moment:
-    near = []
-    if len(episode.marks):
-        for link in nearest_links(episode.robot.points, episode.marks):
-            close = link.distance < 2 * NEAR_STOPS[-1]
-            line = np.stack([link.joint, link.mark]) if close else np.stack([FAR_AWAY, FAR_AWAY])
-            near.append((line, near_colour(link.distance)))
-    known = subgoals is not None and np.isfinite(subgoals).all()
-    return Moment(
-        stage.stage.link_poses(stage.robot),
-        suit_pose(episode),
-        episode.robot.ends.copy(),
-        episode.targets().copy(),
-        subgoals_in_scene(episode, np.asarray(subgoals)) if known else None,
-        near,
-        "\n".join(caption(episode, words)),
-    )
+    links: dict[int, tuple[Array, Array]]  # place and quaternion of each link's frame
+    suit: tuple[Array, Array]  # place and quaternion of the suit's meshes
+    ends: Array  # arm ends (2, 3)
+    targets: Array  # target areas (2, 3)
+    subgoals: Array | None  # (2, 3)
+    near: list[tuple[Array, tuple[int, int, int]]]  # for each rock the line (2, 3) to the nearest joint, and its colour
+    words: str  # caption
 
 
 class Spectator:
     """Look at an episode and tell where everything is; a stage of its own computes the links' poses."""
 
     def __init__(self) -> None:
-        """Set the stage up."""
+        """Set up a stage on which nothing stands yet."""
         self._stage = StageSet(Stage())
         self.robot: list[VisualShape] = []
 
@@ -104,21 +77,27 @@ class Spectator:
         new = self._stage.show(episode)
         if new:
             self.robot = self._stage.stage.visual_shapes(self._stage.robot)
-        return _moment(episode, self._stage, subgoals, words), new
+        links = nearest_links(episode.robot.points, episode.marks) if len(episode.marks) else []
+        known = subgoals is not None and np.isfinite(subgoals).all()
+        moment = Moment(
+            self._stage.stage.link_poses(self._stage.robot),
+            suit_pose(episode),
+            episode.robot.ends.copy(),
+            episode.targets().copy(),
+            subgoals_in_scene(episode, np.asarray(subgoals)) if known else None,
+            [(_line(link), near_colour(link.distance)) for link in links],
+            "\n".join(caption(episode, words)),
+        )
+        return moment, new
 
     def close(self) -> None:
         """Take the stage down; a second call does nothing."""
         self._stage.close()
 
 
-def _rgb(colour: tuple[float, ...]) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * c) for c in colour)
-    return red, green, blue
-
-
-def _wxyz(quaternion: Array | tuple[float, ...]) -> Array:
-    x, y, z, w = quaternion
-    return np.array([w, x, y, z])
+def _line(link: Link) -> Array:
+    """Return the line (2, 3) [m] from a joint to a rock, out of sight where they are far from each other."""
+    return np.stack([link.joint, link.mark] if link.distance < 2 * NEAR_STOPS[-1] else [FAR_AWAY, FAR_AWAY])
 
 
 class Actors:
@@ -138,63 +117,44 @@ class Actors:
         """
         self._scene = server.scene
         _aim(server.initial_camera, scene)
-        self._scene.set_up_direction(tuple(scene.terrain.up()))
-        self._scene.set_background_image(np.full((2, 2, 3), BACKGROUND, np.uint8), format="png")
         self._light(scene)
         self._stand(scene)
         self._links = self._robot(robot)
         self._suit = self._scene.add_frame("/astronaut", show_axes=False)
         for index, (colour, mesh) in enumerate(shapes.suit_shapes(scene.model.limbs).items()):
             self._mesh(f"/astronaut/part{index}", mesh.vertices, mesh.faces, colour)
-        self._ends = [
-            self._scene.add_icosphere(f"/ends/{i}", 0.02, c, subdivisions=2) for i, c in enumerate(ARM_COLOURS)
-        ]
-        self._targets = [
-            self._scene.add_icosphere(f"/targets/{i}", TARGET_RADIUS, c, opacity=0.35, cast_shadow=False)
-            for i, c in enumerate(ARM_COLOURS)
-        ]
-        self._subgoals = []
-        if subgoals:
-            self._subgoals = [
-                self._scene.add_icosphere(f"/subgoals/{i}", 0.035, SUBGOAL_COLOUR, subdivisions=1, flat_shading=True)
-                for i in range(2)
-            ]
-        self._lines = self._scene.add_line_segments(
-            "/distances", *self._segments(first), thickness=2.0, thickness_units="screen"
-        )
+        self._ends = self._balls("ends", 0.02, ARM_COLOURS, subdivisions=2)
+        self._targets = self._balls("targets", TARGET_RADIUS, ARM_COLOURS, opacity=0.35, cast_shadow=False)
+        colours = (SUBGOAL_COLOUR,) * 2 if subgoals else ()
+        self._subgoals = self._balls("subgoals", 0.035, colours, subdivisions=1, flat_shading=True)
+        looks: dict[str, Any] = {"thickness": 2.0, "thickness_units": "screen"}
+        self._lines = self._scene.add_line_segments("/distances", *_segments(first), **looks)
         above = scene.terrain.height(scene.base_x, scene.base_y)
         place = np.array([scene.base_x, scene.base_y, float(above) + 1.15])
         self._words = self._scene.add_label("/caption", first.words, position=place, anchor="bottom-center")
 
     def show(self, moment: Moment) -> None:
         """Move everything to where it is at a moment."""
-        for link, (place, turn) in moment.links.items():
-            if link in self._links:
-                self._links[link].position, self._links[link].wxyz = place, _wxyz(turn)
-        place, turn = moment.suit
-        self._suit.position, self._suit.wxyz = place, _wxyz(turn)
-        for which in range(2):
-            self._ends[which].position = moment.ends[which]
-            self._targets[which].position = moment.targets[which]
-        for which, ball in enumerate(self._subgoals):
-            if moment.subgoals is not None:  # the last moment has none: they stay where they were
-                ball.position = moment.subgoals[which]
-        points, colours = self._segments(moment)
-        self._lines.points, self._lines.colors = points, colours
+        poses = [(self._suit, moment.suit), *((self._links[n], p) for n, p in moment.links.items() if n in self._links)]
+        for actor, (place, quaternion) in poses:
+            actor.position, actor.wxyz = place, np.roll(quaternion, 1)
+        # The last moment has no sub-goals: they stay where they were.
+        for balls, places in (
+            (self._ends, moment.ends),
+            (self._targets, moment.targets),
+            (self._subgoals, moment.subgoals),
+        ):
+            for ball, place in zip(balls, () if places is None else places, strict=False):
+                ball.position = place
+        self._lines.points, self._lines.colors = _segments(moment)
         self._words.text = moment.words
 
-    @staticmethod
-    def _segments(moment: Moment) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Lines (n, 2, 3) from ends to targets and from joints to rocks, and their colours (n, 2, 3)."""
-        to_targets = [np.stack(pair) for pair in zip(moment.ends, moment.targets, strict=True)]
-        lines = [*to_targets, *(line for line, _ in moment.near)]
-        colours = [*ARM_COLOURS, *(colour for _, colour in moment.near)]
-        return np.array(lines, np.float32), np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
+    def _balls(self, name: str, radius: float, colours: Iterable[Any], **looks: Any) -> list[Any]:
+        return [self._scene.add_icosphere(f"/{name}/{i}", radius, c, **looks) for i, c in enumerate(colours)]
 
     def _mesh(self, name: str, vertices: Array, faces: NDArray[np.int64], colour: tuple[float, ...]) -> None:
-        self._scene.add_mesh_simple(
-            name, vertices.astype(np.float32), faces.astype(np.uint32), color=_rgb(colour), side="double"
-        )
+        corners, triangles = vertices.astype(np.float32), faces.astype(np.uint32)
+        self._scene.add_mesh_simple(name, corners, triangles, color=np.array(colour), side="double")
 
     def _light(self, scene: Scene) -> None:
         # Nothing casts shadows: at this size the player's shadow maps are coarser than what they fall on.
@@ -209,15 +169,14 @@ class Actors:
         self._scene.add_light_ambient("/light/ground", intensity=0.5)
 
     def _stand(self, scene: Scene) -> None:
-        """Ground, rocks and their mark points."""
+        """Set up what never moves: sky, ground, rocks and their mark points."""
+        self._scene.set_up_direction(tuple(scene.terrain.up()))
+        self._scene.set_background_image(np.full((2, 2, 3), BACKGROUND, np.uint8), format="png")
         line = np.linspace(-GROUND_HALF, GROUND_HALF, GROUND_POINTS)
         middle = np.array([scene.base_x + scene.astronaut_x, scene.base_y + scene.astronaut_y]) / 2
         x, y = np.meshgrid(middle[0] + line, middle[1] + line)
         ground = np.stack([x, y, scene.terrain.height(x, y)], axis=-1).reshape(-1, 3)
-        corner = (np.arange(GROUND_POINTS - 1)[:, None] * GROUND_POINTS + np.arange(GROUND_POINTS - 1)).ravel()
-        across, up = corner + 1, corner + GROUND_POINTS
-        faces = np.concatenate([np.stack([corner, across, up + 1], -1), np.stack([corner, up + 1, up], -1)])
-        self._mesh("/ground", ground, faces, REGOLITH)
+        self._mesh("/ground", ground, shapes.lattice(GROUND_POINTS, GROUND_POINTS), REGOLITH)
         for index, rock in enumerate(scene.rocks):
             solid = shapes.hull(rock.vertices())
             self._mesh(f"/rocks/{index}", solid.vertices, solid.faces, shapes.BASALT)
@@ -226,14 +185,21 @@ class Actors:
             self._scene.add_point_cloud("/marks", marks, MARK_COLOUR, point_size=0.012, point_shape="circle")
 
     def _robot(self, robot: list[VisualShape]) -> dict[int, Any]:
-        frames = {}
+        """Add the robot's shapes, each below the frame of its link, and return the frames by link."""
+        names = {link: f"/robot/link{link}" for link in dict.fromkeys(shape.link for shape in robot)}
+        frames = {link: self._scene.add_frame(name, show_axes=False) for link, name in names.items()}
         for index, shape in enumerate(robot):
-            if shape.link not in frames:
-                frames[shape.link] = self._scene.add_frame(f"/robot/link{shape.link}", show_axes=False)
             solid = _solid(shape)
             placed = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
-            self._mesh(f"/robot/link{shape.link}/shape{index}", placed, np.asarray(solid.faces), shape.colour)
+            self._mesh(f"{names[shape.link]}/shape{index}", placed, np.asarray(solid.faces), shape.colour)
         return frames
+
+
+def _segments(moment: Moment) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return lines (n, 2, 3) [m] from ends to targets and from joints to rocks, and their colours (n, 2, 3)."""
+    lines = [*np.stack([moment.ends, moment.targets], axis=1), *(line for line, _ in moment.near)]
+    colours = [*ARM_COLOURS, *(colour for _, colour in moment.near)]
+    return np.array(lines, np.float32), np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
 
 
 def _solid(shape: VisualShape) -> trimesh.Trimesh:

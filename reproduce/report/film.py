@@ -1,7 +1,6 @@
 """One rescue as a film or a strip of pictures (F5)."""
 
-from __future__ import annotations
-
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ from lunar_rescue import LunarRescueEnv
 from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
-from reproduce.experiments.evaluate import run_episode
-from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
 from reproduce.storage.files import write_atomically
 
 STRIP_PICTURES = 8
@@ -32,29 +30,20 @@ def film(
 ) -> tuple[list[Picture], dict[str, Any]]:
     """Act one rescue out; return its pictures, one a step and one of the end, and how it ended.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Of the scene.
-        posture: Draw the scene with this posture.
-        task: Draw the scene with this task.
-        overlay: Draw targets, sub-goals, mark points, distances and a caption.
-        size: Width and height [px]; films want multiples of 16.
+    The first four arguments are those of ``acting.load_policy_and_scene``; ``overlay`` draws targets, sub-goals, mark
+    points, distances and a caption; ``size`` is width and height [px], for films multiples of 16.
     """
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     camera = scene_camera(scene, size)
     env, studio = LunarRescueEnv(), Studio()
     frames: list[Picture] = []
 
-    def take(subgoals: NDArray[Any] | None = None, note: str = "") -> None:
+    def take(subgoals: NDArray[Any] | None, note: str) -> None:
         picture = studio.picture(env.episode, camera)
         frames.append(draw_overlay(picture, env.episode, camera, subgoals, note) if overlay else picture)
 
-    try:
-        row = run_episode(env, WatchedPolicy(policy, take), scene)
-        take(note=ending(row))
-    finally:
-        env.close()
-        studio.close()
+    with closing(env), closing(studio):
+        row = act_out(env, policy, scene, take)
     return frames, row
 
 

@@ -1,7 +1,5 @@
 """The report's 3D replays: a success and a failure of each method, and every posture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,25 +18,17 @@ MOST_SCENES = 3000  # looked through for a posture
 
 @dataclass(frozen=True)
 class Clip:
-    """One replay to be shown.
+    """One replay of the report's page of replays."""
 
-    Attributes:
-        group: Heading that it belongs to.
-        label: What the reader clicks on.
-        where: Run folder or a method's name.
-        seed: Of the scene.
-        file: Name of its page.
-    """
-
-    group: str
-    label: str
-    where: str
-    seed: int
-    file: str
+    group: str  # heading that it belongs to
+    label: str  # what the reader clicks on
+    where: str  # run folder, or a method's name
+    seed: int  # of the scene
+    file: str  # name of its page
 
 
 def choose_clips(runs: list[Run]) -> list[Clip]:
-    """A success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
+    """Choose a success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
     clips = []
     for run in runs:
         rows = run.rows()

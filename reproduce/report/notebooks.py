@@ -4,8 +4,6 @@ papermill only warns of a parameter that a notebook does not know, and takes any
 checked for all notebooks before the first one runs.
 """
 
-from __future__ import annotations
-
 import ast
 import os
 import tempfile
@@ -29,19 +27,14 @@ OUTPUTS = "notebooks"
 
 @dataclass(frozen=True)
 class Notebook:
-    """One notebook and its parameters.
-
-    Attributes:
-        path: The source.
-        defaults: Value of each parameter in the parameters cell.
-    """
+    """A notebook and the values in its parameters cell."""
 
     path: Path
     defaults: dict[str, Any]
 
     @property
     def name(self) -> str:
-        """File name without its ending."""
+        """Return the file's name without its ending."""
         return self.path.stem
 
 
@@ -182,24 +175,23 @@ def failed_output(folder: Path, name: str) -> Path:
 
 def stopped_at(path: Path) -> int:
     """Return the number of the last code cell that began, counted as a reader of the source counts."""
-    code = [cell for cell in _source_cells(path) if cell.cell_type == "code" and cell.source.strip()]
-    return max((n for n, cell in enumerate(code, 1) if cell.execution_count is not None), default=1)
+    _, cells = _read(path)
+    return max((number for number, cell in enumerate(cells, 1) if cell.get("start_time")), default=1)
 
 
 def is_complete(path: Path) -> bool:
     """Tell whether an output notebook ran to its end: no exception, an end time, and every code cell completed."""
-    meta = nbformat.read(path, as_version=4).metadata.get("papermill", {})
-    code = [cell for cell in _source_cells(path) if cell.cell_type == "code" and cell.source.strip()]
-    # A cell that raises SystemExit can end a notebook with exit code 0 and the rest not run.
-    return not meta.get("exception") and bool(meta.get("end_time")) and all(map(_completed, code))
+    meta, cells = _read(path)
+    # A cell that raises SystemExit ends a notebook with exit code 0 and the rest not run; and papermill calls cells
+    # completed that a dead kernel never began.
+    completed = all(cell.get("status") == "completed" and cell.get("start_time") for cell in cells)
+    return not meta.get("exception") and bool(meta.get("end_time")) and completed
 
 
-def _completed(cell: Any) -> bool:
-    # papermill calls cells completed that a dead kernel never began.
-    return cell.metadata.get("papermill", {}).get("status") == "completed" and cell.execution_count is not None
-
-
-def _source_cells(path: Path) -> list[Any]:
-    """Cells of an output notebook without those that papermill adds."""
+def _read(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what papermill noted of an output notebook and of each code cell of its source."""
+    document = nbformat.read(path, as_version=4)
     added = {"injected-parameters", "papermill-error-cell-tag"}
-    return [c for c in nbformat.read(path, as_version=4).cells if not added & set(c.metadata.get("tags", []))]
+    code = [cell.metadata for cell in document.cells if cell.cell_type == "code" and cell.source.strip()]
+    cells = [meta.get("papermill", {}) for meta in code if not added & set(meta.get("tags", []))]
+    return document.metadata.get("papermill", {}), cells

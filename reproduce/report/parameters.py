@@ -4,8 +4,6 @@ papermill only warns of a parameter that a notebook does not know, and takes any
 ``check(globals(), ...)``, and the command line makes the same check for all notebooks before the first one runs.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
@@ -47,9 +45,7 @@ def check_value(name: str, value: Any, default: Any) -> None:
 def check(namespace: dict[str, Any], *names: str) -> None:
     """Check the parameters of the notebook that calls this in its first cell after the parameters.
 
-    Args:
-        namespace: The notebook's ``globals()``.
-        names: The notebook's own parameters.
+    ``namespace`` is the notebook's ``globals()``, ``names`` are its own parameters.
 
     Raises:
         UserError: On a value out of range, or a name that the notebook does not have.

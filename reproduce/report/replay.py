@@ -1,7 +1,5 @@
 """``reproduce replay``: one rescue as a film, a strip of pictures or a page in three dimensions (F5)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,7 @@ def parse_size(text: str) -> tuple[int, int]:
     Raises:
         UserError: On anything else.
     """
-    parts = text.lower().split("x")
-    low, high = SIZE_RANGE
+    parts, (low, high) = text.lower().split("x"), SIZE_RANGE
     if len(parts) != 2 or not all(p.isdecimal() and low <= int(p) <= high and int(p) % 16 == 0 for p in parts):
         raise UserError(f"--size: expected WIDTHxHEIGHT, multiples of 16 from {low} to {high}; got {text!r}")
     return int(parts[0]), int(parts[1])

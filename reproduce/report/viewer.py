@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.pictures.stage import VisualShape
-from reproduce.experiments.evaluate import run_episode
-from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
 from reproduce.report.actors import Actors, Moment, Spectator
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
@@ -28,19 +27,12 @@ LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
 
 @dataclass(frozen=True)
 class Recording:
-    """A rescue that was acted out, with everything that is needed to show it.
-
-    Attributes:
-        scene: Its scene.
-        robot: What of the robot is seen.
-        moments: One a step and one of the end.
-        row: How it ended, as from ``run_episode``.
-    """
+    """A rescue that was acted out, with everything that is needed to show it."""
 
     scene: Scene
-    robot: list[VisualShape]
-    moments: list[Moment]
-    row: dict[str, Any]
+    robot: list[VisualShape]  # what of the robot is seen
+    moments: list[Moment]  # one a step and one of the end
+    row: dict[str, Any]  # how it ended, as from ``run_episode``
 
 
 def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:
@@ -49,15 +41,11 @@ def record(where: str | Path, seed: int, posture: str | None = None, task: str |
     env, spectator = LunarRescueEnv(), Spectator()
     moments: list[Moment] = []
 
-    def note(subgoals: NDArray[Any] | None = None, words: str = "") -> None:
+    def note(subgoals: NDArray[Any] | None, words: str) -> None:
         moments.append(spectator.look(env.episode, subgoals, words)[0])
 
-    try:
-        row = run_episode(env, WatchedPolicy(policy, note), scene)
-        note(words=ending(row))
-    finally:
-        env.close()
-        spectator.close()
+    with closing(env), closing(spectator):
+        row = act_out(env, policy, scene, note)
     return Recording(scene, spectator.robot, moments, row)
 
 

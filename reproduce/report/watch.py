@@ -6,6 +6,7 @@ import itertools
 import socket
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +14,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.physics.robot import CONTROL_STEP
-from reproduce.experiments.evaluate import run_episode
-from reproduce.report.acting import WatchedPolicy, ending, load_policy_and_scene
+from reproduce.report.acting import act_out, ending, load_policy_and_scene
 from reproduce.report.actors import Actors, Spectator
 from reproduce.report.viewer import viser_server
 from reproduce.storage.errors import UserError
@@ -39,14 +39,8 @@ def watch(
 ) -> None:
     """Play rescues one after another in the browser, from the scene of ``seed`` on, until interrupted.
 
-    Args:
-        where: Run folder, or a method that does not learn by its name.
-        seed: Seed of the first scene.
-        rescues: How many, or 0 for no end.
-        posture: Draw scenes with this posture.
-        task: Draw scenes with this task.
-        port: Port of the page on this machine; 0 takes a free one.
-        tell: Called with the page's address, then with a line about each rescue.
+    ``where`` is a run folder or a method that does not learn; ``seed`` is the first scene's; 0 ``rescues`` never end,
+    and ``port`` 0 is a free one. ``tell`` is called with the page's address, then with a line about each rescue.
 
     Raises:
         UserError: On a wrong argument, or a port that is taken.
@@ -55,21 +49,14 @@ def watch(
         raise UserError(f"--rescues: expected at least 0, got {rescues}")
     _check_port(port)
     policy, _ = load_policy_and_scene(where, seed, posture, task)
-    env = LunarRescueEnv()
-    with viser_server(port) as server:
-        live = LiveView(server)
-        watched = WatchedPolicy(policy, lambda subgoals: live.show(env.episode, subgoals))
-        try:
-            tell(f"watch at http://localhost:{server.get_port()} (Ctrl-C ends it)")
-            live.wait_for_somebody(PATIENCE)
-            for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
-                row = run_episode(env, watched, sample_scene(number, posture=posture, task=task))
-                tell(f"scene {number}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
-                live.show(env.episode, words=ending(row))
-                time.sleep(PAUSE)
-        finally:
-            env.close()
-            live.close()
+    with viser_server(port) as server, closing(LunarRescueEnv()) as env, closing(LiveView(server)) as live:
+        tell(f"watch at http://localhost:{server.get_port()} (Ctrl-C ends it)")
+        live.wait_for_somebody(PATIENCE)
+        for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
+            scene = sample_scene(number, posture=posture, task=task)
+            row = act_out(env, policy, scene, lambda *what: live.show(env.episode, *what))
+            tell(f"scene {number}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
+            time.sleep(PAUSE)
 
 
 def _check_port(port: int) -> None:
@@ -88,11 +75,7 @@ class LiveView:
     """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Begin with an empty scene.
-
-        Args:
-            server: Serves the page.
-        """
+        """Begin with the empty scene of a server, which serves the page."""
         self._server, self._spectator = server, Spectator()
         self._actors: Actors | None = None
         self._due = 0.0
@@ -116,5 +99,5 @@ class LiveView:
             self._actors.show(moment)
 
     def close(self) -> None:
-        """Take the stage down."""
+        """Take the stage down; the server goes on."""
         self._spectator.close()

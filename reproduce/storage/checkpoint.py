@@ -3,8 +3,6 @@
 Environments begin anew at a checkpoint, also in a run that is not interrupted, so a resumed run repeats it bit for bit.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,12 +44,9 @@ class Learner(Protocol):
 class Progress:
     """How far a training is, in counters."""
 
-    update: NonNegativeInt
-    """Updates done."""
-    steps: NonNegativeInt
-    """Environment steps done."""
-    seconds: NonNegativeFloat
-    """Seconds spent training, over all sessions."""
+    update: NonNegativeInt  # Updates done
+    steps: NonNegativeInt  # Environment steps done
+    seconds: NonNegativeFloat  # Seconds spent training, over all sessions
 
 
 def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:
@@ -74,11 +69,7 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
 
 
 def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
-    """Restore learners and random states.
-
-    Raises:
-        UserError: When there is no checkpoint, it is damaged, or it belongs to another configuration.
-    """
+    """Restore learners and random states; ``UserError`` without a whole checkpoint of this configuration."""
     path = folder / NAME
     tensors = read_tensors(path, LARGEST)
     meta = _read_meta(path)
@@ -87,9 +78,7 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     try:
         progress = from_dict(Progress, meta["progress"], "progress.")
         for level, learner in learners.items():
-            prefix = f"{level}."
-            own = {name[len(prefix) :]: tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-            learner.load_state(own, meta["learners"][level])
+            learner.load_state(_under(level, tensors), meta["learners"][level])
         th.set_rng_state(tensors["torch_rng"])
         kind, *numbers = meta["numpy_rng"]
         np.random.set_state((kind, tensors["numpy_rng"].numpy().astype(np.uint32), *numbers))  # noqa: NPY002
@@ -110,6 +99,12 @@ def _read_meta(path: Path) -> dict[str, Any]:
     return meta
 
 
+def _under(name: str, tensors: Mapping[str, th.Tensor]) -> dict[str, th.Tensor]:
+    """Return the tensors whose names begin with ``name`` and a dot, without both."""
+    prefix = f"{name}."
+    return {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
+
+
 def module_tensors(name: str, module: th.nn.Module) -> dict[str, th.Tensor]:
     """Return weights and statistics of a network, under its name."""
     return {f"{name}.{key}": tensor.clone() for key, tensor in module.state_dict().items()}
@@ -126,17 +121,15 @@ def optimizer_tensors(name: str, optimizer: th.optim.Optimizer) -> dict[str, th.
 
 def restore_module(name: str, module: th.nn.Module, tensors: dict[str, th.Tensor]) -> None:
     """Load into a network what ``module_tensors`` returned."""
-    prefix = f"{name}."
-    module.load_state_dict({n[len(prefix) :]: t for n, t in tensors.items() if n.startswith(prefix)})
+    module.load_state_dict(_under(name, tensors))
 
 
 def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
     """Load into an optimiser what ``optimizer_tensors`` returned."""
-    prefix, state = f"{name}.", dict[int, dict[str, th.Tensor]]()
-    for key, tensor in tensors.items():
-        if key.startswith(prefix):
-            index, what = key[len(prefix) :].split(".")
-            state.setdefault(int(index), {})[what] = tensor
+    state: dict[int, dict[str, th.Tensor]] = {}
+    for key, tensor in _under(name, tensors).items():
+        index, what = key.split(".")
+        state.setdefault(int(index), {})[what] = tensor
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 

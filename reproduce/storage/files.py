@@ -1,7 +1,5 @@
 """Write files so that a kill at any moment leaves the old one or the new one, and let one process write at a time."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
@@ -21,12 +19,9 @@ _STREAMS = ("/dev/stdout", "/dev/stderr", "/dev/fd", "/proc")
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a path that could not be written, before the work that would be written there.
+    """Refuse with a ``UserError`` a path that could not be written, before the work that would be written there.
 
     Nothing is created: the nearest folder that exists is tried with a file without a name.
-
-    Raises:
-        UserError: When the path is a folder, lies below a file or in a folder that takes no files.
     """
     try:
         if path.is_dir():
@@ -44,14 +39,11 @@ def check_writable(path: Path) -> None:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Call ``write`` with a temporary name, then put that file in place of ``path`` in one step.
 
     Links are followed. What is no regular file (a device, a pipe, a shell's redirection) is written to and stays what
-    it is. The file gets the mode that the umask gives, whatever mode its writer chose.
-
-    Raises:
-        UserError: When the file cannot be written; the old one is still there.
+    it is. The file gets the mode that the umask gives. Where it cannot be written the old one stays: ``UserError``.
     """
     try:
         if path.is_dir():
@@ -70,7 +62,7 @@ def is_stream(path: Path) -> bool:
     return path.exists() and (named or not path.is_file())
 
 
-def _replace(path: Path, write: Callable[[Path], None]) -> None:
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")  # film writers go by the ending
     try:
@@ -83,7 +75,7 @@ def _replace(path: Path, write: Callable[[Path], None]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _write_stream(path: Path, write: Callable[[Path], None]) -> None:
+def _write_stream(path: Path, write: Callable[[Path], object]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"stream{path.suffix}"
         write(temporary)
@@ -93,19 +85,10 @@ def _write_stream(path: Path, write: Callable[[Path], None]) -> None:
 
 @contextmanager
 def locked(folder: Path, what: str, *, name: str = LOCK, wait: bool = False) -> Iterator[IO[str]]:
-    """Hold a folder's lock while the block runs; the kernel releases it however the process ends.
+    """Hold a folder's lock, the file ``name``, while the block runs; the kernel releases it however the process ends.
 
-    Args:
-        folder: Made where it is missing.
-        what: What is locked, for the message: "run folder", "batch".
-        name: Name of the lock's file; it is removed at the end.
-        wait: Wait for another process instead of refusing.
-
-    Yields:
-        The open file; a child that inherits its descriptor holds the lock too.
-
-    Raises:
-        UserError: When another process holds the lock, or the folder cannot be written.
+    The folder is made where it is missing. Yields the open file: a child that inherits its descriptor holds the lock
+    too. Raises a ``UserError``, which says ``what`` is locked, when another process holds it, unless told to ``wait``.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -159,24 +142,12 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text atomically, as UTF-8."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_atomically(path, write)
+    """Write a text file atomically, as UTF-8."""
+    write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_json(path: Path, what: str) -> Any:
-    """Read JSON.
-
-    Args:
-        path: The file.
-        what: What it holds, for the message.
-
-    Raises:
-        UserError: Names file and fault: missing, too large, too deep or not JSON.
-    """
+    """Read JSON; ``UserError`` names the file, ``what`` it holds and the fault: missing, too large or deep, no JSON."""
     try:
         if path.stat().st_size > LARGEST_JSON:
             raise UserError(f"{path}: {what}: larger than {LARGEST_JSON} bytes")

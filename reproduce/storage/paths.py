@@ -1,7 +1,5 @@
 """Name the places: the checkout, its notebooks and results, and the folder that commands read and write."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

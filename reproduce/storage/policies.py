@@ -3,8 +3,6 @@
 Weights are safetensors, everything else JSON. Names, types, shapes and sizes are checked before a network is built.
 """
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,12 +28,9 @@ Record = TypeVar("Record")
 class Spec:
     """All that is needed to build a network; subclasses add what else it is."""
 
-    observations: Units
-    """Size of the flat observation."""
-    actions: Units
-    """Size of the action."""
-    hidden_units: Units
-    """Units of each layer and of the LSTM, where it has one."""
+    observations: Units  # Size of the flat observation
+    actions: Units  # Size of the action
+    hidden_units: Units  # Units of each layer and of the LSTM, where it has one
 
     def build(self) -> Any:
         """Make a network of these sizes, not trained."""
@@ -43,13 +38,9 @@ class Spec:
 
 
 def save_policy(folder: Path, method: str, networks: Mapping[str, tuple[Spec, th.nn.Module]], config: Any) -> None:
-    """Write ``policy.safetensors`` and ``policy.json``.
+    """Write ``policy.safetensors`` and ``policy.json`` into a run folder.
 
-    Args:
-        folder: The run folder.
-        method: Name of the method.
-        networks: What acts, by level: how to build it, and it.
-        config: Record of all else that decides how it acts.
+    ``networks`` says of each level how to build it, and holds it; ``config`` is all else that decides how it acts.
     """
     tensors = {
         f"{level}.{name}": tensor.detach().contiguous().clone()
@@ -76,15 +67,7 @@ def read_policy_json(folder: Path) -> dict[str, Any]:
 
 
 def load_policy_config(folder: Path, kind: type[Record]) -> Record:
-    """Read what ``policy.json`` holds besides networks.
-
-    Args:
-        folder: The run folder.
-        kind: Record class that the method has for it.
-
-    Raises:
-        UserError: Naming the field that is missing, unknown or wrong.
-    """
+    """Read what ``policy.json`` holds besides networks; ``UserError`` names a field that is missing or wrong."""
     raw = {k: v for k, v in read_policy_json(folder).items() if k not in ("format", "method", "networks")}
     return _record(kind, raw, f"{folder / 'policy.json'}: ")
 
@@ -97,15 +80,10 @@ def _record(kind: type[Record], raw: Any, where: str) -> Record:
 
 
 def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: type[Spec]) -> dict[str, Any]:
-    """Build and fill the networks of a run folder.
+    """Build and fill the networks of a run folder, each described by a ``kind``.
 
-    Args:
-        folder: The run folder.
-        expected: For each level the sizes of observation and action that the method has.
-        kind: Record class that describes each network.
-
-    Raises:
-        UserError: On a missing or damaged file, a wrong name or a wrong shape.
+    ``expected`` are each level's sizes of observation and action. A missing or damaged file, a wrong name or a wrong
+    shape is a ``UserError``.
     """
     raw, path = read_policy_json(folder), folder / "policy.json"
     if set(raw["networks"]) != set(expected):
@@ -121,8 +99,8 @@ def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: t
     for level, network in networks.items():
         fill(network, tensors, weights, level)
         network.set_training_mode(False)
-    known = {f"{level}.{name}" for level, network in networks.items() for name in network.state_dict()}
-    if unknown := sorted(set(tensors) - known):
+    known = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
+    if unknown := sorted(set(tensors).difference(known)):
         raise UserError(f"{weights}: unknown tensor {unknown[0]!r}")
     return networks
 

@@ -4,13 +4,12 @@ Ctrl-C and a terminal that closes reach a whole group of processes at once. Work
 which stops them, says one line and ends with code 128 plus the signal's number.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import forkserver, resource_tracker, util
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -30,6 +29,7 @@ SAME_REQUEST = 1.0  # s
 _TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
 _LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
 _PR_SET_PDEATHSIG = 1
+_LONGEST_FOLDER = 70  # characters; a socket's whole path may have 107
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -58,9 +58,7 @@ def die_with_parent() -> None:
 def end_with(parent: int, by: int = signal.SIGKILL) -> None:
     """Have the kernel send this process a signal when its parent ends: ``preexec_fn=partial(end_with, os.getpid())``.
 
-    Args:
-        parent: Process that starts this one; it may have ended before it could be watched.
-        by: The signal; one that can be caught leaves time to stop further processes.
+    The parent may have ended before it could be watched. A signal that can be caught leaves time to stop others.
     """
     _LIBC.prctl(_PR_SET_PDEATHSIG, int(by), 0, 0, 0)
     if os.getppid() != parent:
@@ -70,6 +68,11 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
 def start_fork_server() -> None:
     """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+    chosen = tempfile.gettempdir()
+    if len(chosen) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
+        tempfile.tempdir = "/tmp"
+        util.get_temp_dir()
+        tempfile.tempdir = chosen
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
@@ -87,15 +90,8 @@ def map_in_processes(
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
-    Args:
-        job: Called in a worker; can be pickled.
-        items: What it is called with.
-        workers: Processes; None is one a core.
-        prepare: Called with ``arguments`` in each worker before its first job.
-        arguments: Can be pickled.
-
-    Raises:
-        RunFailedError: When a worker was killed or crashed.
+    There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
+    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
     """
     start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
@@ -122,15 +118,10 @@ def _begin(prepare: Callable[..., object] | None, arguments: tuple[Any, ...]) ->
 
 @dataclass
 class Stop:
-    """Which signal asked this process to end.
+    """Which signal asked this process to end."""
 
-    Attributes:
-        number: The signal's, or 0 while none came.
-        time: When the last one came, by ``time.monotonic`` [s].
-    """
-
-    number: int = 0
-    time: float = -math.inf
+    number: int = 0  # the signal's, or 0 while none came
+    time: float = -math.inf  # when the last one came, by ``time.monotonic`` [s]
 
     @property
     def code(self) -> int:

@@ -1,10 +1,9 @@
 """Record where a result comes from: command, commit, versions, machine. Every file that a command writes carries it."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -74,9 +73,6 @@ def commit(root: Path = INSTALLED) -> str:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
+    path = Path("/proc/cpuinfo")
+    found = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
+    return found[1].strip() if found else platform.machine()

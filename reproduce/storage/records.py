@@ -1,7 +1,5 @@
 """Checked records of ``lunar_rescue.scenes.records`` as plain data for files, and what differs between two of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -22,15 +20,9 @@ def to_dict(record: Any) -> dict[str, Any]:
 
 
 def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
-    """Read a record from what a JSON file held; a field that is not there is not guessed.
+    """Read a record, of a class decorated with ``checked``, from what a JSON file held; no missing field is guessed.
 
-    Args:
-        kind: A class decorated with ``checked``.
-        raw: The data.
-        where: Written before the field in messages, such as ``"config."``.
-
-    Raises:
-        ValueError: In one line: the path of the field, what was expected and what came.
+    What is wrong is a ``ValueError`` of one line: ``where``, the path of the field, what was expected and what came.
     """
     try:
         record = from_json(kind, json.dumps(raw), where)

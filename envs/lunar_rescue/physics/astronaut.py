@@ -1,23 +1,19 @@
 """The suited astronaut in the simulation: one rigid body, moved by contact and friction alone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.bodies import RigidBody
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.scenes.postures import Posture
 from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.suit import keypoints, mass_properties
 from lunar_rescue.scenes.targets import target_areas
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,8 +34,7 @@ class AstronautState:
 class Astronaut:
     """Builds the body of a scene and reads its state.
 
-    Attributes:
-        ways_in: From each target (head's side, feet's side) to the entry before the body, in the world (2, 3) [m].
+    ``ways_in`` lead from each target (head's side, feet's side) to the entry before the body, in the world (2, 3) [m].
     """
 
     def __init__(self, simulation: Simulation, scene: Scene) -> None:
@@ -49,40 +44,32 @@ class Astronaut:
         heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
         self._simulation = simulation
-        self._body: RigidBody = simulation.add_suit(scene.model.limbs, scene.mass)
-        half = 0.5 * scene.astronaut_yaw
-        simulation.place(self._body.handle, centre, _turned(half, fixed.quaternion))
-        self._to_body = fixed.to_body
+        self._body = simulation.add_suit(scene.model.limbs, scene.mass)
+        self.handle = self._body.handle
+        simulation.place(self.handle, centre, _turned(0.5 * scene.astronaut_yaw, fixed.quaternion))
         self.start = AstronautState(centre, heading @ fixed.rotation, np.zeros(3), np.zeros(3))
-        self._targets, self._keypoints = fixed.targets, fixed.keypoints
+        self._fixed = fixed
         self.ways_in = fixed.way_in[:, None] * np.array([-s, c, 0.0]) * scene.side
-
-    @property
-    def handle(self) -> int:
-        """Return the body's handle in the simulation."""
-        return self._body.handle
 
     def state(self) -> AstronautState:
         """Read pose and velocity from the simulation."""
         position, quaternion = self._simulation.raw_pose(self._body)
         linear, angular = self._simulation.velocity(self._body)
-        rotation = _matrix(quaternion) @ self._to_body
+        rotation = _matrix(quaternion) @ self._fixed.to_body
         return AstronautState(np.array(position), rotation, linear, angular)
 
     def targets(self, state: AstronautState) -> Array:
         """Return the two target areas P_G now (head's side, feet's side), moving with the body, (2, 3) [m]."""
-        points: Array = self._targets @ state.rotation.T + state.centre
+        points: Array = self._fixed.targets @ state.rotation.T + state.centre
         points[:, 2] = np.maximum(points[:, 2], 0.03)
         return points
 
     def keypoints(self, state: AstronautState) -> Array:
         """Return the skeleton's 13 key points now, (13, 3) [m]."""
-        points: Array = self._keypoints @ state.rotation.T + state.centre
-        return points
+        return np.asarray(self._fixed.keypoints @ state.rotation.T + state.centre)
 
 
-@dataclass(frozen=True)
-class _Fixed:
+class _Fixed(NamedTuple):
     """What is the same in each scene of a posture, a side and a task."""
 
     rotation: Array  # body frame at rest, head along +x (3, 3)
@@ -97,14 +84,9 @@ class _Fixed:
 def _fixed(posture: Posture, side: int, task: str) -> _Fixed:
     properties, rest, areas = mass_properties(posture.limbs), posture.rest_rotation(), target_areas(posture, side, task)
     axes = Rotation.from_quat(properties.axes)
-    return _Fixed(
-        rest.as_matrix(),
-        (rest * axes).as_quat(),
-        axes.inv().as_matrix(),
-        rest.inv().apply(areas.offsets),
-        keypoints(posture.limbs) - properties.centre,
-        areas.way_in,
-    )
+    targets, skeleton = rest.inv().apply(areas.offsets), keypoints(posture.limbs) - properties.centre
+    quaternion, to_body = (rest * axes).as_quat(), axes.inv().as_matrix()
+    return _Fixed(rest.as_matrix(), quaternion, to_body, targets, skeleton, areas.way_in)
 
 
 def _turned(half: float, q: Array) -> Array:
@@ -117,10 +99,7 @@ def _turned(half: float, q: Array) -> Array:
 def _matrix(q: tuple[float, ...]) -> Array:
     """Return the rotation matrix of a quaternion x, y, z, w; SciPy's takes ten times as long for one."""
     x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    first = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    second = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    third = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    return np.array([first, second, third])

@@ -4,36 +4,25 @@ They have next to nothing to be seen (pictures are taken in a client of their ow
 hundred bytes behind in PyBullet, so the whole world is made anew every ``WORLD_LIFE`` episodes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.physics.client import MOUND_FILE, Client, pb
 from lunar_rescue.physics.quiet import decimal_points
 from lunar_rescue.scenes.rocks import Rock
 from lunar_rescue.scenes.suit import Limbs, Part, mass_properties, suit_parts
 from lunar_rescue.scenes.terrain import Mound, Terrain, mounds
 
-Array = NDArray[np.float64]
-
-RESTITUTION = 0.0  # regolith does not bounce
-# Small, they stop a rocking body as dust would (assumption) [m].
-SPINNING_FRICTION, ROLLING_FRICTION = 0.01, 0.005
-START_FRICTION = 0.8  # until an episode sets its own
 WORLD_LIFE = 2048  # episodes
 KINDS = {"box": pb.GEOM_BOX, "capsule": pb.GEOM_CAPSULE, "sphere": pb.GEOM_SPHERE}
 
 
-@dataclass(frozen=True)
-class RigidBody:
+class RigidBody(NamedTuple):
     """A body that moves: handle and the frame that Bullet keeps (centre of gravity, principal axes)."""
 
     handle: int
@@ -43,10 +32,8 @@ class RigidBody:
 class Bodies(Client):
     """A world with ground, to which the bodies of one episode after another are added.
 
-    Attributes:
-        ground: Handle of the plane.
-        relief: Handle of the mounds, where the ground is rough.
-        friction: Coulomb coefficient between any two surfaces.
+    ``ground`` is the handle of the plane and ``relief`` that of the mounds, where the ground is rough; ``friction`` is
+    the Coulomb coefficient between any two surfaces.
     """
 
     def _begin(self) -> None:
@@ -60,7 +47,7 @@ class Bodies(Client):
         self._shapes: dict[Any, int] = {}
         self._removable: list[int] = []
         self._episodes = 0
-        self.friction = START_FRICTION
+        self.friction = 0.8  # until an episode sets its own
 
     @property
     def needs_rebuild(self) -> bool:
@@ -79,25 +66,23 @@ class Bodies(Client):
             localInertiaDiagonal=(properties.inertia * mass).tolist(),
             linearDamping=0.0,
             angularDamping=0.0,
-            spinningFriction=SPINNING_FRICTION,
-            rollingFriction=ROLLING_FRICTION,
-            lateralFriction=math.sqrt(self.friction),
-            restitution=RESTITUTION,
+            spinningFriction=0.01,  # both small, they stop a rocking body as dust would (assumption) [m]
+            rollingFriction=0.005,
         )
+        self._set_friction(handle)
         self._removable.append(handle)
         return RigidBody(handle, _inverse_axes(limbs))
 
     def _compound(self, parts: tuple[Part, ...]) -> int:
-        return int(
-            self._client.createCollisionShapeArray(
-                shapeTypes=[KINDS[p.kind] for p in parts],
-                halfExtents=[p.size if p.kind == "box" else (1, 1, 1) for p in parts],
-                radii=[0.1 if p.kind == "box" else p.size[0] for p in parts],
-                lengths=[p.size[1] if p.kind == "capsule" else 0.1 for p in parts],
-                collisionFramePositions=[p.position for p in parts],
-                collisionFrameOrientations=[p.quaternion for p in parts],
-            )
+        shape: int = self._client.createCollisionShapeArray(
+            shapeTypes=[KINDS[p.kind] for p in parts],
+            halfExtents=[p.size if p.kind == "box" else (1, 1, 1) for p in parts],
+            radii=[0.1 if p.kind == "box" else p.size[0] for p in parts],
+            lengths=[p.size[1] if p.kind == "capsule" else 0.1 for p in parts],
+            collisionFramePositions=[p.position for p in parts],
+            collisionFrameOrientations=[p.quaternion for p in parts],
         )
+        return shape
 
     def _cached_shape(self, key: Any, make: Callable[[], int]) -> int:
         """Return a collision shape, which is built once in a world's life."""
@@ -151,8 +136,8 @@ class Bodies(Client):
         self._episodes += 1
 
     def _set_friction(self, handle: int, link: int = -1) -> None:
-        # Bullet multiplies the two surfaces' coefficients: the square root makes the product the wanted one.
-        self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=RESTITUTION)
+        # Bullet multiplies the two surfaces' coefficients, so each has the wanted one's root. Regolith does not bounce.
+        self._client.changeDynamics(handle, link, lateralFriction=math.sqrt(self.friction), restitution=0.0)
 
 
 @lru_cache(maxsize=256)

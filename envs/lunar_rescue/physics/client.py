@@ -1,7 +1,5 @@
 """A connection to PyBullet, for the simulation and for the stage that pictures are taken of."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NoReturn
 

@@ -5,8 +5,6 @@ frame, x forward, y left, z up [m]; angles [rad]. Everything is that of arm A (l
 arms, so arm B (right) is arm A mirrored: y of its points and directions turns round.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import TypeVar
 
@@ -14,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-Array = NDArray[np.float64]
-Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+from lunar_rescue.arrays import Array
+
+Floats = TypeVar("Floats", NDArray[np.float32], Array)
 
 WAIST_HEIGHT, TORSO, SHOULDER_Y = 0.30, 0.42, 0.36
 UPPER_ARM, FOREARM, PLATE = 0.50, 0.45, 0.45
@@ -32,17 +31,13 @@ POSTURE = 0.01  # weight of the distance from the preferred joints [1/rad]
 class ArmChain:
     """Place n arms and tell how joints and waist move them.
 
-    Attributes:
-        direction: Unit vectors along forearm and plate (n, 3).
-        normal: Unit vectors normal to the plates' faces (n, 3).
+    ``direction`` are unit vectors along forearm and plate, ``normal`` those normal to the plates' faces (n, 3).
     """
 
     def __init__(self, waists: Array, joints: Array) -> None:
-        """Compute the poses.
+        """Compute the poses for waist angles (n,), positive leaning forward, and joints (n, 5) [rad].
 
-        Args:
-            waists: Waist angles (n,) [rad], positive leans forward.
-            joints: Shoulder pitch, shoulder roll, elbow yaw, elbow roll, wrist yaw (n, 5) [rad].
+        The joints are shoulder pitch, shoulder roll, elbow yaw, elbow roll and wrist yaw.
         """
         s, c = np.sin(joints), np.cos(joints)
         pitch = waists - joints[:, 0]  # both turn about the same axis
@@ -84,19 +79,14 @@ class ArmChain:
         axes = np.stack([down, self._upper_x, self._upper_z, -self._turned_y, self._fore_z, -down], axis=2)
         shoulder, from_waist = self._from_shoulder, self._from_shoulder + self._shoulder
         arms = np.stack([shoulder, shoulder, shoulder, self._from_elbow, self._to_end, from_waist], axis=2)
-        ax, ay, az = axes[:, 0], axes[:, 1], axes[:, 2]
-        rx, ry, rz = arms[:, 0], arms[:, 1], arms[:, 2]
-        dx, dy = self.direction[:, :1], self.direction[:, 1:2]
-        nx, nz = self.normal[:, :1], self.normal[:, 2:]
+        (ax, ay, az), (rx, ry, rz) = axes.transpose(1, 0, 2), arms.transpose(1, 0, 2)
+        dx, dy, nx, nz = self.direction[:, :1], self.direction[:, 1:2], self.normal[:, :1], self.normal[:, 2:]
         rows = [ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx, ax * dy - ay * dx, az * nx - ax * nz]
         return np.stack(rows, axis=1)
 
 
 def normal_y(joints: Floats) -> Floats:
-    """Return the y of the plates' normals (...,) for joints (..., 5), in their precision: 0 where level across.
-
-    It is that of ``ArmChain.normal``, on which the waist has no influence.
-    """
+    """Return the y of ``ArmChain.normal``, which no waist changes, (...,) for joints (..., 5): 0 if level across."""
     s, c = np.sin(joints), np.cos(joints)
     along = c[..., 3] * s[..., 2] * c[..., 1] - s[..., 3] * s[..., 1]
     across: Floats = c[..., 4] * along + s[..., 4] * c[..., 2] * c[..., 1]
@@ -108,17 +98,11 @@ def solve_arms(
 ) -> tuple[Array, Array]:
     """Solve the inverse kinematics of n poses of one arm: ends at targets, plates level across, forearms sloping.
 
-    Args:
-        targets: Wanted end positions (n, 3) [m].
-        slopes: Wanted angles of the forearm above the horizontal (n,) [rad].
-        waists: Waist angles, held (n,) [rad].
-        side: +1 for arm A, -1 for arm B.
-        starts: First guesses, also the preferred postures (n, 5) [rad].
-        lower: Lower joint bounds (5,) [rad].
-        upper: Upper joint bounds (5,) [rad].
+    Ends are wanted at ``targets`` (n, 3) [m] and forearms ``slopes`` (n,) [rad] above the horizontal; the waist stays
+    at ``waists`` (n,) [rad]. ``side`` is +1 for arm A, -1 for arm B; ``starts`` (n, 5) [rad] are the first guesses and
+    also the preferred postures, within the joints' bounds ``lower`` and ``upper`` (5,) [rad].
 
-    Returns:
-        The joints (n, 5) [rad] and the remaining distances of the ends from the targets (n,) [m].
+    Returns the joints (n, 5) [rad] and the remaining distances of the ends from the targets (n,) [m].
     """
     wanted = np.column_stack([targets * [1.0, float(side), 1.0], np.sin(slopes), np.zeros(len(slopes))])
 
@@ -153,8 +137,7 @@ def solve_arm(target: Array, slope: float, waist: float, side: int, start: Array
 
     inside = np.clip(start, lower + 1e-6, upper - 1e-6)
     solution = least_squares(residual, inside, bounds=(lower, upper), xtol=1e-6, ftol=1e-6, max_nfev=60)
-    joints: Array = solution.x
-    return joints
+    return np.asarray(solution.x)
 
 
 def _bounded_step(q: Array, residual: Array, jacobian: Array, damping: Array, lower: Array, upper: Array) -> Array:
@@ -163,5 +146,4 @@ def _bounded_step(q: Array, residual: Array, jacobian: Array, damping: Array, lo
     held = ((q <= lower) & (gradient > 0)) | ((q >= upper) & (gradient < 0))
     free = jacobian * ~held[:, None, :]
     matrix = free.transpose(0, 2, 1) @ free + np.eye(5) * (damping[:, None, None] + held[:, :, None])
-    step: Array = np.linalg.solve(matrix, (gradient * ~held)[:, :, None])[:, :, 0]
-    return step
+    return np.linalg.solve(matrix, (gradient * ~held)[:, :, None])[:, :, 0]

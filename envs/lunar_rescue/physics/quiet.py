@@ -4,8 +4,6 @@ File descriptors and locale belong to the whole process, so threads take turns, 
 be.
 """
 
-from __future__ import annotations
-
 import ctypes
 import locale
 import os
@@ -24,19 +22,15 @@ def no_greeting() -> Iterator[None]:
         for descriptor, stream in ((1, sys.stdout), (2, sys.stderr)):
             with suppress(AttributeError, ValueError, OSError):  # None, closed, or a pipe that nobody reads
                 stream.flush()
-            stack.enter_context(_to_nowhere(descriptor))
+            with suppress(OSError):  # closed
+                stack.enter_context(_to_nowhere(descriptor))
         yield
 
 
 @contextmanager
 def _to_nowhere(descriptor: int) -> Iterator[None]:
-    """Redirect one file descriptor; does nothing where it is closed."""
-    try:
-        original = os.dup(descriptor)
-    except OSError:
-        yield
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    """Redirect one file descriptor; ``OSError`` where it is closed."""
+    original, nowhere = os.dup(descriptor), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, descriptor)
         yield

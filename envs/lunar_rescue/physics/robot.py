@@ -1,7 +1,5 @@
 """The robot: a waist and two arms, read and driven through the simulation (P6)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from xml.etree import ElementTree

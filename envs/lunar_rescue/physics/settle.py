@@ -3,8 +3,6 @@
 Run ``python -m lunar_rescue.physics.settle`` after changing a posture; a test checks that the poses stay put.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ With ``client`` and ``bodies``, of which it is made, and the stage of ``pictures
 Speed matters here: state is read in as few calls as possible, and nothing is queried by closest points.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

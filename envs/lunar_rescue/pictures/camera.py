@@ -1,28 +1,17 @@
 """The camera of a picture: from the scene to pixels and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-if TYPE_CHECKING:
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+from lunar_rescue.arrays import Array, Floats
+from lunar_rescue.scenes.scene import Scene
 
 SIZE = (480, 352)  # px, multiples of 16 as films want them
-DISTANCE = 3.1  # m, camera from the point between robot and astronaut
-PITCH = -18.0  # deg
 TURN = 68.0  # deg, camera beside the line from robot to astronaut
 GALLERY_TURN = 150.0  # deg, camera beyond the astronaut
-FIELD_OF_VIEW = 42.0  # deg, upright
-NEAR, FAR = 0.3, 90.0  # m
 SUN_BESIDE, SUN_HEIGHT = -72.0, 33.0  # deg, the sun stands beside the camera, so that shapes show
 SUN_AWAY, SUN_RADIUS, SUN_CELLS = 40.0, 2.2, 480  # m, m around the middle that cast shadows, cells of the shadow map
 
@@ -32,15 +21,15 @@ class Camera:
     """Where a picture is taken from."""
 
     target: tuple[float, float, float]  # point looked at, in the scene (3,) [m]
-    distance: float = DISTANCE  # from there [m]
+    distance: float = 3.1  # from there [m]
     yaw: float = 0.0  # heading of the view; 0 looks along y [deg]
-    pitch: float = PITCH  # negative looks down [deg]
+    pitch: float = -18.0  # negative looks down [deg]
     size: tuple[int, int] = SIZE  # width and height [px]
     # turns the scene so that gravity points down (3, 3): on a slope the ground leans, not the camera
     upright: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    field_of_view: float = FIELD_OF_VIEW  # upright [deg]
-    near: float = NEAR  # nearest that is seen [m]
-    far: float = FAR  # furthest that is seen [m]
+    field_of_view: float = 42.0  # upright [deg]
+    near: float = 0.3  # nearest that is seen [m]
+    far: float = 90.0  # furthest that is seen [m]
 
     @cached_property
     def view(self) -> Array:
@@ -66,12 +55,16 @@ class Camera:
         """Return where the camera is in the scene, (3,) [m]."""
         return np.asarray(-self.view[:3, :3].T @ self.view[:3, 3])
 
+    @property
+    def towards(self) -> Array:
+        """Return the direction from what the camera looks at to the camera, unit vector (3,)."""
+        return np.asarray(self.view[2, :3])
+
     def project(self, points: Array) -> Array:
         """Return pixels (x to the right, y down) and depth [m] of points (n, 3) of the scene, (n, 3)."""
         seen = points @ self.view[:3, :3].T + self.view[:3, 3]
         depth = -seen[:, 2]
-        across = self.projection[0, 0] * seen[:, 0] / depth
-        up = self.projection[1, 1] * seen[:, 1] / depth
+        across, up = self.projection[0, 0] * seen[:, 0] / depth, self.projection[1, 1] * seen[:, 1] / depth
         width, height = self.size
         return np.column_stack([(across + 1) * width / 2, (1 - up) * height / 2, depth])
 
@@ -89,9 +82,8 @@ class Camera:
         width, height = self.size
         x = ((np.arange(width) + 0.5) * 2 / width - 1) / self.projection[0, 0]
         y = (1 - (np.arange(height) + 0.5) * 2 / height) / self.projection[1, 1]
-        gx, gy = np.meshgrid(x, y)
-        rays: Floats = (np.stack([gx, gy, -np.ones_like(gx)], -1) @ self.view[:3, :3]).astype(np.float32)
-        return rays
+        rays = np.stack([*np.meshgrid(x, y), np.full((height, width), -1.0)], -1) @ self.view[:3, :3]
+        return np.asarray(rays, np.float32)
 
 
 def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN) -> Camera:
@@ -99,24 +91,14 @@ def scene_camera(scene: Scene, size: tuple[int, int] = SIZE, turn: float = TURN)
     x, y = (scene.base_x + scene.astronaut_x) / 2, (scene.base_y + scene.astronaut_y) / 2
     z = float(scene.terrain.height(x, y))
     yaw = float(np.degrees(scene.base_yaw)) - 90.0 + turn
-    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=_upright(scene))
-
-
-def _upright(scene: Scene) -> tuple[tuple[float, ...], ...]:
-    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
-    return tuple(tuple(row) for row in turn.as_matrix().tolist())
+    turned, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [scene.terrain.up()])
+    upright = tuple(tuple(row) for row in turned.as_matrix().tolist())
+    return Camera((x, y, z + 0.28), yaw=yaw, size=size, upright=upright)
 
 
 def sun_camera(camera: Camera) -> Camera:
     """Return the sun as a camera that sees the middle of the scene; it stands beside the camera."""
+    placed = replace(camera, distance=SUN_AWAY, yaw=camera.yaw + SUN_BESIDE, pitch=-SUN_HEIGHT)
     opening = float(np.degrees(2 * np.arctan(SUN_RADIUS / SUN_AWAY)))
-    return replace(
-        camera,
-        distance=SUN_AWAY,
-        yaw=camera.yaw + SUN_BESIDE,
-        pitch=-SUN_HEIGHT,
-        size=(SUN_CELLS, SUN_CELLS),
-        field_of_view=opening,
-        near=SUN_AWAY - 5.0,
-        far=SUN_AWAY + 5.0,
-    )
+    size, near, far = (SUN_CELLS, SUN_CELLS), SUN_AWAY - 5.0, SUN_AWAY + 5.0
+    return replace(placed, size=size, field_of_view=opening, near=near, far=far)

@@ -1,38 +1,30 @@
 """What the rewards look at, drawn into a picture (F2): targets, sub-goals, mark points of rocks, and distances."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from lunar_rescue.arrays import Array
+from lunar_rescue.episode import Episode
 from lunar_rescue.physics.robot import ARMS
 from lunar_rescue.pictures.camera import Camera
 from lunar_rescue.pictures.rendering import Picture
 from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.tasks import TARGET_RADIUS
 
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 ARM_COLOURS: tuple[Colour, Colour] = ((90, 170, 255), (255, 160, 60))  # arm A, arm B
 SUBGOAL_COLOUR: Colour = (110, 235, 120)
 MARK_COLOUR: Colour = (235, 235, 235)
-TEXT_COLOUR: Colour = (240, 240, 240)
 #: Colour of a distance to a mark point: red when touching, yellow on the way, faint when far [m].
 NEAR_STOPS: tuple[float, ...] = (0.10, 0.25, 0.50)
 NEAR_COLOURS: tuple[Colour, ...] = ((255, 60, 50), (255, 215, 70), (150, 170, 150))
 PROCESSES = {1: "getting both arms under", 2: "raising"}
 
 
-@dataclass(frozen=True)
-class Link:
+class Link(NamedTuple):
     """A joint and the mark point that is nearest to it."""
 
     joint: Array  # place of the joint (3,) [m]
@@ -40,16 +32,10 @@ class Link:
     distance: float  # between them [m]
 
 
-def nearest_links(points: Array, marks: Array, marks_of_rock: int = 5) -> list[Link]:
-    """Return for each rock the joint and the mark point of it that are nearest to each other.
-
-    Args:
-        points: Joints and ends of both arms (12, 3) [m].
-        marks: Mark points (m, 3) [m], ``marks_of_rock`` a rock.
-        marks_of_rock: How many belong to one rock.
-    """
+def nearest_links(points: Array, marks: Array) -> list[Link]:
+    """Return for each rock the joint or end (12, 3) [m] and the one of its five marks (5 n, 3) [m] that are nearest."""
     links = []
-    for rock in marks.reshape(-1, marks_of_rock, 3):
+    for rock in marks.reshape(-1, 5, 3):
         distances = np.linalg.norm(points[:, None] - rock[None], axis=-1)
         joint, mark = np.unravel_index(distances.argmin(), distances.shape)
         links.append(Link(points[joint], rock[mark], float(distances[joint, mark])))
@@ -68,27 +54,21 @@ def draw_overlay(
     """Draw what the rewards look at into a picture of an episode.
 
     Rings are the target areas and dots the arm ends, joined by a line with the distance, blue for arm A and orange for
-    arm B. Diamonds are sub-goals. Crosses are the rocks' mark points; a line leads from the nearest joint to each
-    rock, red when near.
-
-    Args:
-        picture: What ``Studio.picture`` took of this episode with this camera (height, width, 3).
-        episode: Where everything is.
-        camera: The picture's.
-        subgoals: Of arm A and arm B in the robot's base frame (2, 3) [m], if the policy has any.
-        note: Added to the caption, such as how the episode ended.
-
-    Returns:
-        A new picture of the same size.
+    arm B. Diamonds are sub-goals (of arm A and arm B in the robot's base frame, (2, 3) [m]), if the policy has any.
+    Crosses are the rocks' mark points; a line leads from the nearest joint to each rock, red when near. ``picture``
+    (height, width, 3) is what ``Studio.picture`` took of this episode with this camera, and the new one has its size;
+    ``note`` is added to the caption, such as how the episode ended.
     """
     image = Image.fromarray(picture)
-    draw = ImageDraw.Draw(image, "RGBA")
-    pen = _Pen(draw, camera, max(1, round(camera.size[1] / 352)))
+    pen = _Pen(ImageDraw.Draw(image, "RGBA"), camera)
     _draw_rocks(pen, episode)
     _draw_targets(pen, episode)
     if subgoals is not None and np.isfinite(subgoals).all():
-        _draw_subgoals(pen, episode, subgoals_in_scene(episode, subgoals))
-    _draw_caption(pen, caption(episode, note), camera.size)
+        places = subgoals_in_scene(episode, subgoals)
+        for end, place, colour in zip(episode.robot.ends, places, ARM_COLOURS, strict=True):
+            pen.line(end, place, SUBGOAL_COLOUR, 150)
+            pen.diamond(place, SUBGOAL_COLOUR, colour)
+    _draw_caption(pen, caption(episode, note))
     return np.asarray(image, dtype=np.uint8)
 
 
@@ -107,8 +87,9 @@ def caption(episode: Episode, note: str = "") -> list[str]:
 class _Pen:
     """Draws shapes given in the scene; nothing behind the camera."""
 
-    def __init__(self, draw: ImageDraw.ImageDraw, camera: Camera, width: int) -> None:
-        self.draw, self.camera, self.width = draw, camera, width
+    def __init__(self, draw: ImageDraw.ImageDraw, camera: Camera) -> None:
+        self.draw, self.camera, self.width = draw, camera, max(1, round(camera.size[1] / 352))
+        self.font = ImageFont.load_default(12 * self.width)
 
     def _at(self, points: Array) -> Array:
         seen = self.camera.project(np.atleast_2d(points))
@@ -139,15 +120,11 @@ class _Pen:
 
     def text(self, place: Array, words: str, colour: Colour) -> None:
         for x, y, _ in self._at(place).tolist():
-            font, corner = _font(12 * self.width), (x + 5 * self.width, y - 16 * self.width)
-            left, top, right, bottom = self.draw.textbbox(corner, words, font=font)
+            corner = x + 5 * self.width, y - 16 * self.width
+            left, top, right, bottom = self.draw.textbbox(corner, words, font=self.font)
             edge = 2 * self.width
             self.draw.rectangle((left - edge, top - edge, right + edge, bottom + edge), (0, 0, 0, 150))
-            self.draw.text(corner, words, (*colour, 255), font=font)
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
+            self.draw.text(corner, words, (*colour, 255), font=self.font)
 
 
 def _draw_rocks(pen: _Pen, episode: Episode) -> None:
@@ -177,17 +154,10 @@ def _draw_targets(pen: _Pen, episode: Episode) -> None:
             pen.text((end + target) / 2, f"{100 * away:.0f} cm", colour)
 
 
-def _draw_subgoals(pen: _Pen, episode: Episode, places: Array) -> None:
-    for end, place, colour in zip(episode.robot.ends, places, ARM_COLOURS, strict=True):
-        pen.line(end, place, SUBGOAL_COLOUR, 150)
-        pen.diamond(place, SUBGOAL_COLOUR, colour)
-
-
-def _draw_caption(pen: _Pen, lines: list[str], size: tuple[int, int]) -> None:
-    width, height = size
-    step = 15 * pen.width
+def _draw_caption(pen: _Pen, lines: list[str]) -> None:
+    (width, height), step = pen.camera.size, 15 * pen.width
     top = height - step * len(lines) - 4 * pen.width
     pen.draw.rectangle((0, top, width, height), (0, 0, 0, 170))
     for index, line in enumerate(lines):
         place = (8 * pen.width, top + 2 * pen.width + index * step)
-        pen.draw.text(place, line, TEXT_COLOUR, font=_font(12 * pen.width))
+        pen.draw.text(place, line, (240, 240, 240), font=pen.font)

@@ -1,13 +1,10 @@
 """What regolith looks like from near: colour and relief of a square tile that repeats without seams, from a seed."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
+from lunar_rescue.arrays import Array, Floats
 
 CELLS = 512
 TILE = 2.4  # m, side of the tile
@@ -17,25 +14,20 @@ RELIEF = 0.35  # of the slopes; more would look like rocks that nothing collides
 
 
 @lru_cache(maxsize=1)
-def tile() -> tuple[Array, Array]:
+def tile() -> tuple[Floats, Floats]:
     """Return brightness (CELLS, CELLS), mean 1, and slopes along x and y (CELLS, CELLS, 2) of the tile."""
     rng = np.random.default_rng(1969)
     fx, fy = np.meshgrid(*[np.fft.fftfreq(CELLS, 1 / CELLS)] * 2)
     frequency = np.hypot(fx, fy).clip(1.0)
     noise = np.fft.fft2(rng.standard_normal((CELLS, CELLS)))
-    dust = _unit(np.fft.ifft2(noise * frequency**-0.8).real)
-    height = 0.006 * _unit(np.fft.ifft2(noise * frequency**-1.9).real) + _craters(rng)
-    step = TILE / CELLS
-    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * step) for axis in (1, 0)]
+    fields = [np.fft.ifft2(noise * frequency**power).real for power in (-0.8, -1.9)]
+    dust, swell = ((field - field.mean()) / field.std() for field in fields)
+    height = 0.006 * swell + _craters(rng)
+    slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * TILE / CELLS) for axis in (1, 0)]
     return (1.0 + 0.09 * dust).astype(np.float32), (RELIEF * np.stack(slopes, -1)).astype(np.float32)
 
 
-def _unit(field: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale a field to mean 0 and spread 1."""
-    return (field - field.mean()) / field.std()
-
-
-def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
+def _craters(rng: np.random.Generator) -> Array:
     """Return heights [m] of small bowls with rims."""
     line = np.arange(CELLS) * TILE / CELLS
     height = np.zeros((CELLS, CELLS))
@@ -47,14 +39,8 @@ def _craters(rng: np.random.Generator) -> NDArray[np.float64]:
     return height
 
 
-def surface(x: Array, y: Array, away: Array) -> tuple[Array, Array]:
-    """Return brightness (n,) and slopes (n, 2) of the ground at places x, y, fading where the camera is far.
-
-    Args:
-        x: Place [m].
-        y: Place [m].
-        away: Distance from the camera [m]; beyond some metres a grain is smaller than a pixel.
-    """
+def surface(x: Floats, y: Floats, away: Floats) -> tuple[Floats, Floats]:
+    """Return brightness (n,) and slopes (n, 2) at x, y, fading with the distance ``away`` from the camera, all [m]."""
     brightness, slopes = tile()
     cell = (np.floor(y / TILE * CELLS).astype(int) % CELLS, np.floor(x / TILE * CELLS).astype(int) % CELLS)
     # A second, larger lookup hides that the tile repeats.

@@ -6,39 +6,28 @@ shadows and ground are worked out from that in NumPy, which is faster and finer 
 not move: it is drawn once for each scene and camera.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from lunar_rescue.arrays import Floats
+from lunar_rescue.episode import Episode
 from lunar_rescue.pictures import regolith, shapes
 from lunar_rescue.pictures.camera import SUN_CELLS, Camera, scene_camera, sun_camera
 from lunar_rescue.pictures.stage import Stage
 from lunar_rescue.pictures.stage_set import GAMMA, StageSet
+from lunar_rescue.scenes.scene import Scene
 
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 SUNLIGHT, AMBIENT, FILL = 1.25, 0.10, 0.16  # of what regolith and instruments throw back into the shadows
 WHITE = (1.0, 1.0, 1.0)
 
 
-def ground_mesh(scene: Scene, camera: Camera) -> shapes.Mesh:
-    """Return the ground as it is drawn for this camera."""
-    return shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
-
-
-@dataclass(frozen=True)
-class _Ground:
+class _Ground(NamedTuple):
     """What stays the same between the pictures of one scene and camera; images at the renderer's size."""
 
     camera: Camera
@@ -54,11 +43,7 @@ class Studio:
     """Takes pictures of episodes; keeps the stage of the last scene."""
 
     def __init__(self, fine: int = 2) -> None:
-        """Prepare an empty stage.
-
-        Args:
-            fine: The renderer works with so many times the pixels each way, which smooths edges; 1 is fastest.
-        """
+        """Prepare an empty stage; the renderer works with ``fine`` times the pixels each way, which smooths edges."""
         self._fine = fine
         self._set, self._bare = StageSet(Stage()), Stage()  # the bodies, and the ground without them
         self._ground: _Ground | None = None
@@ -69,22 +54,18 @@ class Studio:
         self._bare.close()
 
     def picture(self, episode: Episode, camera: Camera | None = None) -> Picture:
-        """Take a picture of an episode as it is now, (height, width, 3).
-
-        Args:
-            episode: Its scene, robot and body are drawn.
-            camera: ``scene_camera`` of the scene without one.
-        """
+        """Take a picture of an episode as it is now, (height, width, 3), by ``scene_camera`` unless told."""
         camera = camera or scene_camera(episode.scene)
         if self._set.show(episode, WHITE):
             self._ground = None
         if self._ground is None or self._ground.camera != camera:
             self._ground = self._draw_ground(episode.scene, camera)
-        ground = self._ground
-        light = self._light(ground)
+        ground, light = self._ground, self._light(self._ground)
         image = ground.colour * (ground.sunlight * light.ravel()[ground.cell] + AMBIENT + FILL)[..., None]
         self._draw_bodies(image, ground)
-        return _finish(image, self._fine)
+        fine = self._fine
+        small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
+        return np.asarray(255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)  # as screens expect it
 
     def _fine_camera(self, camera: Camera) -> Camera:
         return replace(camera, size=(camera.size[0] * self._fine, camera.size[1] * self._fine))
@@ -92,35 +73,27 @@ class Studio:
     def _draw_ground(self, scene: Scene, camera: Camera) -> _Ground:
         fine, sun = self._fine_camera(camera), sun_camera(camera)
         self._bare.clear()
-        mesh = ground_mesh(scene, camera)
-        self._bare.add_mesh((mesh.vertices, mesh.normals, mesh.faces, WHITE))
-        _, depth, seen = _look(self._bare, fine, sun)
-        _, sun_depth, _ = _look(self._bare, sun, sun)
+        mesh = shapes.ground(scene.terrain.height, scene.terrain.up(), np.array(camera.target[:2]))
+        self._bare.add_mesh((*mesh, WHITE))
+        _, depth, seen = self._bare.look(fine, sun)
+        _, sun_depth, _ = self._bare.look(sun, sun)
         rays = fine.rays()
-        sky = seen < 0
         away = fine.depth_in_metres(depth)
         points = (fine.eye + rays * away[..., None]).reshape(-1, 3)
         brightness, slopes = regolith.surface(points[:, 0], points[:, 1], away.ravel())
         tilt = _slopes(scene, points[:, :2], camera.target)
         normals = np.column_stack([-(slopes + tilt), np.ones(len(points))])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        cosine = (normals @ _towards(sun)).clip(0.0).astype(np.float32).reshape(away.shape)
+        cosine = (normals @ sun.towards).clip(0.0).astype(np.float32).reshape(away.shape)
         colour = brightness[:, None] * np.array(regolith.GREY, np.float32) ** GAMMA
-        colour[sky.ravel()] = 0.0
-        where, _ = _cells(sun, points)
-        return _Ground(
-            camera,
-            sun,
-            rays,
-            colour.reshape(*away.shape, 3).astype(np.float32),
-            SUNLIGHT * cosine,
-            where.reshape(away.shape),
-            sun.depth_in_metres(sun_depth),
-        )
+        colour[seen.ravel() < 0] = 0.0
+        colour = colour.reshape(*away.shape, 3).astype(np.float32)
+        cell, ground_depth = _cells(sun, points)[0].reshape(away.shape), sun.depth_in_metres(sun_depth)
+        return _Ground(camera, sun, rays, colour, SUNLIGHT * cosine, cell, ground_depth)
 
     def _light(self, ground: _Ground) -> Floats:
         """Return the share of sun on the ground in each cell of the shadow map; keep the map of the bodies."""
-        _, depth, bodies = _look(self._set.stage, ground.sun, ground.sun)
+        _, depth, bodies = self._set.stage.look(ground.sun, ground.sun)
         self._map = np.where(bodies >= 0, ground.sun.depth_in_metres(depth), np.float32(1e3))
         lit = (self._map > ground.depth - 0.01).astype(np.float32)
         lit[[0, -1], :] = lit[:, [0, -1]] = 1.0  # beyond the map there is no shadow
@@ -128,7 +101,7 @@ class Studio:
 
     def _draw_bodies(self, image: Floats, ground: _Ground) -> None:
         camera, sun = self._fine_camera(ground.camera), ground.sun
-        shade, depth, bodies = _look(self._set.stage, camera, sun)
+        shade, depth, bodies = self._set.stage.look(camera, sun)
         mask = bodies >= 0
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
@@ -144,7 +117,7 @@ class Studio:
             grain = points[rocky] @ np.array([[1.0, 0.3], [0.4, 1.0], [0.7, -0.6]], np.float32)
             colour[rocky] *= regolith.surface(grain[:, 0], grain[:, 1], np.zeros(len(grain), np.float32))[0][:, None]
         lit = self._lit(sun, points) * shade[box][mask]
-        fill = _towards(replace(sun, yaw=ground.camera.yaw + 40.0, pitch=-25.0)).astype(np.float32)
+        fill = replace(sun, yaw=ground.camera.yaw + 40.0, pitch=-25.0).towards.astype(np.float32)
         up = np.array(ground.camera.upright, np.float32)[2]
         rest = AMBIENT + FILL * (0.55 + 0.45 * (normals @ up)) + 0.14 * (normals @ fill).clip(0.0)
         image[box][mask] = colour * (SUNLIGHT * lit + rest)[:, None]
@@ -157,15 +130,6 @@ class Studio:
         nearest = away - np.float32(0.04)
         lit = sum((flat.take(tap, mode="clip") > nearest).astype(np.float32) for tap in taps)
         return np.asarray(lit / np.float32(len(taps)), np.float32)
-
-
-def _look(stage: Stage, camera: Camera, sun: Camera) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    return stage.look(camera.view, camera.projection, camera.size, _towards(sun))
-
-
-def _towards(camera: Camera) -> Array:
-    """Return the direction from what a camera looks at to the camera, unit vector (3,)."""
-    return np.asarray(camera.view[2, :3])
 
 
 def _cells(sun: Camera, points: NDArray[Any]) -> tuple[NDArray[np.int32], Floats]:
@@ -195,10 +159,3 @@ def _slopes(scene: Scene, places: NDArray[Any], middle: tuple[float, ...], step:
     along = (scene.terrain.height(x + step, y) - scene.terrain.height(x - step, y)) / (2 * step)
     across = (scene.terrain.height(x, y + step) - scene.terrain.height(x, y - step)) / (2 * step)
     return np.column_stack([along, across]) * near
-
-
-def _finish(image: Floats, fine: int) -> Picture:
-    """Average the fine pixels and encode brightness as screens expect it."""
-    small = sum(image[i::fine, j::fine] for i in range(fine) for j in range(fine)) / np.float32(fine * fine)
-    encoded: Picture = (255 * small.clip(0.0, 1.0) ** np.float32(1 / GAMMA)).astype(np.uint8)
-    return encoded

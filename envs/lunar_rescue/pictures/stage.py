@@ -1,35 +1,34 @@
 """Bodies that are only seen, in a client of their own that never steps: no picture can change what happens."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.physics.client import Client, pb
-
-Array = NDArray[np.float64]
+from lunar_rescue.pictures.camera import Camera
 
 #: Geometries of ``Stage.visual_shapes``.
-_SHAPES = {
-    pb.GEOM_SPHERE: "sphere",
-    pb.GEOM_BOX: "box",
-    pb.GEOM_CYLINDER: "cylinder",
-    pb.GEOM_CAPSULE: "capsule",
-    pb.GEOM_MESH: "mesh",
+_SHAPES = {getattr(pb, f"GEOM_{kind.upper()}"): kind for kind in ("sphere", "box", "cylinder", "capsule", "mesh")}
+#: What PyBullet wants to know of each link that lies at its base and is only seen.
+_FIXED_LINK = {
+    **dict.fromkeys(("linkMasses", "linkParentIndices"), 0),
+    **dict.fromkeys(("linkPositions", "linkInertialFramePositions"), (0.0, 0.0, 0.0)),
+    **dict.fromkeys(("linkOrientations", "linkInertialFrameOrientations"), (0.0, 0.0, 0.0, 1.0)),
+    "linkCollisionShapeIndices": -1,
+    "linkJointTypes": pb.JOINT_FIXED,
+    "linkJointAxis": (0.0, 0.0, 1.0),
 }
 
 
-@dataclass(frozen=True)
-class VisualShape:
+class VisualShape(NamedTuple):
     """One shape of a link."""
 
     link: int  # its index, -1 for the base
     kind: str  # sphere, box, cylinder, capsule or mesh
-    # extents of a box; length and radius of a cylinder or capsule; radius first of a sphere [m]
-    size: tuple[float, float, float]
+    size: tuple[float, float, float]  # of a box; length, radius of a cylinder or capsule; radius of a sphere [m]
     position: tuple[float, float, float]  # in the link's frame [m]
     quaternion: tuple[float, float, float, float]  # in the link's frame, x y z w
     colour: tuple[float, float, float]  # red, green, blue from 0 to 1
@@ -55,23 +54,8 @@ class Stage(Client):
             )
             for vertices, normals, faces, colour in pieces
         ]
-        nowhere, level = [(0.0, 0.0, 0.0)] * len(rest), [(0.0, 0.0, 0.0, 1.0)] * len(rest)
-        body = self._client.createMultiBody(
-            0,
-            -1,
-            first,
-            linkMasses=[0.0] * len(rest),
-            linkCollisionShapeIndices=[-1] * len(rest),
-            linkVisualShapeIndices=rest,
-            linkPositions=nowhere,
-            linkOrientations=level,
-            linkInertialFramePositions=nowhere,
-            linkInertialFrameOrientations=level,
-            linkParentIndices=[0] * len(rest),
-            linkJointTypes=[pb.JOINT_FIXED] * len(rest),
-            linkJointAxis=[(0.0, 0.0, 1.0)] * len(rest),
-        )
-        return int(body)
+        links = {name: [value] * len(rest) for name, value in _FIXED_LINK.items()}
+        return int(self._client.createMultiBody(0, -1, first, linkVisualShapeIndices=rest, **links))
 
     def add_robot(self, path: Path) -> tuple[int, dict[str, int], dict[int, tuple[float, ...]]]:
         """Load a robot file; return its handle, the joints' indices by name and the links' colours by index."""
@@ -111,31 +95,22 @@ class Stage(Client):
         """Set the angles of these joints (n,) [rad]."""
         self._client.resetJointStatesMultiDof(handle, joints, [(a,) for a in angles.tolist()], [(0.0,)] * len(joints))
 
-    def look(
-        self, view: Array, projection: Array, size: tuple[int, int], sun: Array
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """Return what a camera sees by the software renderer, all (height, width).
+    def look(self, camera: Camera, sun: Camera) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Return what a camera sees by the software renderer, all (height, width), lit from where another one stands.
 
-        Args:
-            view: World to camera (4, 4).
-            projection: Camera to clip coordinates (4, 4), with perspective: the renderer draws no other.
-            size: Width and height [px].
-            sun: Towards the light (3,).
-
-        Returns:
-            Cosine between surface and light (of what is white), depth in [0, 1], and the body seen with its link in
-            the upper bits, -1 for nothing.
+        First the cosine between surface and light (of what is white), then depth in [0, 1], then the body seen with its
+        link in the upper bits, -1 for nothing.
         """
-        width, height = size
+        width, height = camera.size
         _, _, colours, depth, bodies = self._client.getCameraImage(
             width,
             height,
-            view.T.ravel().tolist(),
-            projection.T.ravel().tolist(),
+            camera.view.T.ravel().tolist(),
+            camera.projection.T.ravel().tolist(),
             renderer=pb.ER_TINY_RENDERER,
             flags=pb.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
             shadow=0,
-            lightDirection=sun.tolist(),
+            lightDirection=sun.towards.tolist(),
             lightAmbientCoeff=0.0,
             lightDiffuseCoeff=1.0,
             lightSpecularCoeff=0.0,

@@ -1,27 +1,20 @@
 """The bodies of a scene on a stage, moved as the episode goes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
+from lunar_rescue.episode import Episode
 from lunar_rescue.physics.client import DATA, ROBOT_FILE
 from lunar_rescue.physics.robot import JOINT_NAMES
 from lunar_rescue.pictures import shapes
 from lunar_rescue.pictures.stage import Stage
+from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.suit import mass_properties
-
-if TYPE_CHECKING:
-    from lunar_rescue.episode import Episode
-    from lunar_rescue.scenes.scene import Scene
-
-Array = NDArray[np.float64]
 
 DETAILS_FILE = DATA / "robot_details.urdf"  # links of the robot that are only seen
 GAMMA = 2.2  # from brightness to what screens expect
@@ -52,60 +45,40 @@ class StageSet:
         self.stage.close()
         self._folder.cleanup()
 
-    def show(
-        self, episode: Episode, colour: tuple[float, float, float] | None = None, upright: Array | None = None
-    ) -> bool:
-        """Put everything where it is in the episode; return whether the scene is a new one.
-
-        Args:
-            episode: The episode.
-            colour: One colour for all (the true ones are in ``colours``), or None for the true ones.
-            upright: Turns everything about the origin (3, 3), for a camera that cannot lean.
-        """
+    def show(self, episode: Episode, colour: shapes.Colour | None = None) -> bool:
+        """Put everything where it is, in its own colours or all in one; return whether the scene is new."""
         new = episode.scene is not self._scene
-        turn = np.eye(3) if upright is None else upright
         if new:
             self._build(episode.scene, colour)
             self._scene = episode.scene
-            for handle in self._stones:
-                self.stage.place(handle, np.zeros(3), Rotation.from_matrix(turn).as_quat())
             origin, axes = base_frame(episode)
-            self.stage.place(self._robot, turn @ origin, Rotation.from_matrix(turn @ axes).as_quat())
-        self.stage.turn_joints(self._robot, self._joints, episode.robot.angles)
-        centre, quaternion = suit_pose(episode, turn)
-        self.stage.place(self._suit, centre, quaternion)
+            self.stage.place(self.robot, origin, Rotation.from_matrix(axes).as_quat())
+        self.stage.turn_joints(self.robot, self._joints, episode.robot.angles)
+        self.stage.place(self._suit, *suit_pose(episode))
         return new
 
-    @property
-    def robot(self) -> int:
-        """Return the robot's handle on the stage."""
-        return self._robot
-
-    def _build(self, scene: Scene, colour: tuple[float, float, float] | None) -> None:
+    def _build(self, scene: Scene, colour: shapes.Colour | None) -> None:
         self.stage.clear()
-        self._robot, joints, links = self.stage.add_robot(self._robot_file)
+        self.robot, joints, links = self.stage.add_robot(self._robot_file)
         self._joints = [joints[name] for name in JOINT_NAMES]
         suit = shapes.suit_shapes(scene.model.limbs)
         self._suit = self._add(suit, colour)
-        self._stones = stones = [
-            self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks
-        ]
-        self.colours = np.ones((max([self._robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
+        stones = [self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks]
+        self.colours = np.ones((max([self.robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
         for link, own in links.items():
-            self.colours[self._robot, link + 1] = own
-            self.stage.paint(self._robot, link, colour or own)
+            self.colours[self.robot, link + 1] = own
+            self.stage.paint(self.robot, link, colour or own)
         self.colours[self._suit, : len(suit)] = list(suit)
         self.colours[stones] = shapes.BASALT
         self.colours **= GAMMA
         self.rocky = np.isin(np.arange(len(self.colours)), stones)
 
     def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
-        return self.stage.add_mesh(*((m.vertices, m.normals, m.faces, colour or own) for own, m in meshes.items()))
+        return self.stage.add_mesh(*((*mesh, colour or own) for own, mesh in meshes.items()))
 
 
-def suit_pose(episode: Episode, turn: Array | None = None) -> tuple[Array, Array]:
-    """Return place (3,) [m] and quaternion, x, y, z, w, of the suit; ``turn`` (3, 3) turns all about the origin."""
-    turn = np.eye(3) if turn is None else turn
-    rotation = turn @ episode.body.rotation
-    centre = turn @ episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
+def suit_pose(episode: Episode) -> tuple[Array, Array]:
+    """Return place (3,) [m] and quaternion, x, y, z, w, of the suit's meshes."""
+    rotation = episode.body.rotation
+    centre = episode.body.centre - rotation @ mass_properties(episode.scene.model.limbs).centre
     return centre, Rotation.from_matrix(rotation).as_quat()

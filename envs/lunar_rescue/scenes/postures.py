@@ -1,7 +1,5 @@
 """The 20 postures, read and checked from one data file (P8), and those of each held-out split from one of its own."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,12 +1,10 @@
 """Frozen dataclasses that pydantic checks: strict types, ranges, no extra fields, and errors of one line."""
 
-from __future__ import annotations
-
 import functools
 import reprlib
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 
 T = TypeVar("T")
@@ -20,8 +18,7 @@ def within(bounds: tuple[float, float]) -> Any:
 def checked(cls: type[T]) -> type[T]:
     """Let pydantic check the fields of a dataclass whenever one is made; what is wrong is a ``ValueError``.
 
-    Args:
-        cls: A standard dataclass; its ``__post_init__`` checks what types and ranges cannot say.
+    The ``__post_init__`` of the standard dataclass checks what types and ranges cannot say.
     """
     parameters = cls.__dataclass_params__  # type: ignore[attr-defined]
     if hasattr(cls, "__pydantic_validator__"):  # of a base; of such a class pydantic would make a dataclass twice
@@ -39,31 +36,19 @@ def checked(cls: type[T]) -> type[T]:
             raise ValueError(_explain(error, f"{cls.__name__}.")) from None
 
     record.__init__ = init
-    checked_class: type[T] = record
-    return checked_class
+    return cast(type[T], record)
 
 
 def from_json(cls: type[T], text: str | bytes, where: str) -> T:
-    """Read a record from JSON text.
-
-    Args:
-        cls: A class decorated with ``checked``.
-        text: The text.
-        where: Written before the field in errors, such as ``"Scene."`` or a file's name.
+    """Read a record of a ``checked`` class from JSON text.
 
     Raises:
-        ValueError: In one line: where, field, what was expected and what came.
+        ValueError: In one line: where (such as ``"Scene."`` or a file's name), field, what was expected and what came.
     """
     try:
-        record: T = _adapter(cls).validate_json(text)  # type: ignore[arg-type]  # classes are hashable
-        return record
+        return cast(T, cls.__pydantic_validator__.validate_json(text))  # type: ignore[attr-defined]
     except ValidationError as error:
         raise ValueError(_explain(error, where)) from None
-
-
-@functools.cache
-def _adapter(cls: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(cls)
 
 
 def _explain(error: ValidationError, where: str) -> str:

@@ -1,23 +1,19 @@
 """Rocks of the work area: size, shape and mark points, as data."""
 
-from __future__ import annotations
-
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
-from lunar_rescue.scenes.terrain import PLACE_RANGE
-
-Array = NDArray[np.float64]
-Place = Annotated[float, within(PLACE_RANGE)]
+from lunar_rescue.scenes.terrain import Place
 
 MAX_ROCKS = 7  # most rocks of 10 cm or more that the cited laws put into a 2 m x 2 m work area
 ROCK_SIZE_RANGE = (0.10, 0.30)  # m, diameter; larger rocks would be driven around
@@ -26,8 +22,6 @@ ROCK_EXPONENT, HELDOUT_EXPONENT = -1.755, -2.661
 # Height/diameter: mean, spread, least, most (same source; spread halved).
 ROCK_ASPECT = (0.6, 0.14, 0.35, 0.95)
 ROCK_BURIED = (0.40, 0.60)  # share of the height under the ground (same source)
-# What any scene may have, drawn or not: height and height of the ground [m], share under the ground.
-HEIGHT_RANGE, GROUND_RANGE, BURIED_RANGE = (0.02, 0.5), (-1.0, 1.0), (0.0, 0.95)
 FLANK = 0.475  # of the diameter, radius of the ring of flank marks
 WORK_AREA = 1.15  # m, half side of the square around the astronaut in which scattered rocks lie
 #: The stones that scenes are drawn from, by their shape's seed; the simulation keeps their shapes. Sizes are the law's
@@ -43,16 +37,16 @@ CLUSTER_DISTANCE = (0.5, 1.0)  # m, of that middle from the astronaut
 @checked
 @dataclass(frozen=True)
 class Rock:
-    """One rock, half buried."""
+    """One rock, half buried; the ranges are those of any scene, drawn or not."""
 
     x: Place  # position in the world [m]
     y: Place  # position in the world [m]
     diameter: Annotated[float, within(ROCK_SIZE_RANGE)]  # mean horizontal diameter [m]
-    height: Annotated[float, within(HEIGHT_RANGE)]  # whole height, buried part included [m]
-    buried: Annotated[float, within(BURIED_RANGE)]  # share of the height under the ground
+    height: Annotated[float, within((0.02, 0.5))]  # whole height, buried part included [m]
+    buried: Annotated[float, within((0.0, 0.95))]  # share of the height under the ground
     yaw: Place  # heading [rad]
     shape: Annotated[int, Field(ge=0)]  # seed of the surface's bumps
-    ground: Annotated[float, within(GROUND_RANGE)] = 0.0  # height of the ground here [m]
+    ground: Annotated[float, within((-1.0, 1.0))] = 0.0  # height of the ground here [m]
 
     @property
     def middle(self) -> tuple[float, float, float]:
@@ -66,25 +60,17 @@ class Rock:
 
     def corners(self) -> Array:
         """Return the corners of the convex hull about its own centre, not turned (12, 3) [m]."""
-        scaled: Array = _bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2]
-        return scaled
+        return np.asarray(_bumpy(self.shape) * [self.diameter / 2, self.diameter / 2, self.height / 2])
 
     def vertices(self) -> Array:
         """Return the corners of the convex hull in the world, (12, 3) [m]."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        turned: Array = self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return turned + self.middle
-
-    def marks(self) -> Array:
-        """Return the mark points: the top and four round the flank, (5, 3) [m], which AAPF and observation use."""
-        return rock_marks((self,))
+        return np.asarray(self.corners() @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + self.middle)
 
 
 def rock_marks(rocks: Sequence[Rock]) -> Array:
-    """Return the mark points of several rocks, five each as in ``Rock.marks``, (5 n, 3) [m]."""
-    if not rocks:
-        return np.zeros((0, 3))
-    rows = []
+    """Return the mark points that AAPF and observation use, each rock's top and four round its flank, (5 n, 3) [m]."""
+    rows: list[tuple[float, float, float]] = []
     for rock in rocks:
         c, s = math.cos(rock.yaw), math.sin(rock.yaw)
         x, y, z = _top(rock.shape)
@@ -94,38 +80,27 @@ def rock_marks(rocks: Sequence[Rock]) -> Array:
         rows.append((rock.x + c * x - s * y, rock.y + s * x + c * y, top))
         rows += [(rock.x + a, rock.y + b, low), (rock.x - b, rock.y + a, low)]
         rows += [(rock.x - a, rock.y - b, low), (rock.x + b, rock.y - a, low)]
-    return np.array(rows)
+    return np.array(rows).reshape(-1, 3)
 
 
 @lru_cache(maxsize=1024)
 def _top(shape: int) -> tuple[float, float, float]:
     """Return the highest corner of a bumpy unit rock."""
-    corners = _bumpy(shape)
-    x, y, z = corners[np.argmax(corners[:, 2])].tolist()
+    x, y, z = max(_bumpy(shape).tolist(), key=lambda corner: corner[2])
     return x, y, z
-
-
-def _icosahedron() -> Array:
-    golden = (1 + math.sqrt(5)) / 2
-    corners: list[tuple[float, float, float]] = [(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a, b * golden, 0) for a in (-1, 1) for b in (-1, 1)]
-    corners += [(a * golden, 0, b) for a in (-1, 1) for b in (-1, 1)]
-    array = np.array(corners, dtype=np.float64)
-    return array / np.linalg.norm(array[0])
-
-
-_ICOSAHEDRON = _icosahedron()
 
 
 @lru_cache(maxsize=1024)
 def _bumpy(shape: int) -> Array:
-    """Return the corners of a bumpy unit rock, (12, 3)."""
-    bumps = np.random.default_rng(shape).uniform(0.85, 1.1, (len(_ICOSAHEDRON), 1))
-    return _ICOSAHEDRON * bumps
+    """Return the corners of a bumpy unit rock, an icosahedron's moved in or out, (12, 3)."""
+    g, signs = (1 + math.sqrt(5)) / 2, list(itertools.product((-1, 1), repeat=2))
+    corners: list[tuple[float, float, float]] = [(0, a, b * g) for a, b in signs]
+    corners += [(a, b * g, 0) for a, b in signs] + [(a * g, 0, b) for a, b in signs]
+    bumps = np.random.default_rng(shape).uniform(0.85, 1.1, (len(corners), 1))
+    return np.asarray(np.array(corners) / np.linalg.norm(corners[0]) * bumps)
 
 
-@dataclass(frozen=True)
-class Stone:
+class Stone(NamedTuple):
     """One stone of the quarry."""
 
     shape: int  # seed of its surface
@@ -173,12 +148,5 @@ def draw_rocks(rng: Random, centre: tuple[float, float], field: RockField) -> It
         else:
             dx, dy = rng.gauss(field.middle[0], CLUSTER), rng.gauss(field.middle[1], CLUSTER)
         stone = rng.choice(field.stones)
-        yield Rock(
-            x=centre[0] + dx,
-            y=centre[1] + dy,
-            diameter=stone.diameter,
-            height=stone.height,
-            buried=rng.uniform(*ROCK_BURIED),
-            yaw=rng.uniform(0.0, 2 * math.pi),
-            shape=stone.shape,
-        )
+        buried, yaw = rng.uniform(*ROCK_BURIED), rng.uniform(0.0, 2 * math.pi)
+        yield Rock(centre[0] + dx, centre[1] + dy, buried=buried, yaw=yaw, **stone._asdict())

@@ -1,7 +1,5 @@
 """Scenes drawn from a seed: posture, task, places, mass, ground and rocks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -144,22 +142,6 @@ def _stands_clear(body: Array, along: float, away: float, facing: float) -> bool
     return bool((ahead > ARMS_AHEAD + raised)[off < ARMS_OUTSIDE].all())
 
 
-def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain, rng: Random, room: _Room) -> Rocks:
-    """Draw the rocks of a field around a point, as many as find room, and put them on the ground."""
-    rocks: list[Rock] = []
-    in_the_way = rng.random() < IN_THE_WAY
-    for rock in draw_rocks(rng, centre, field):
-        if len(rocks) == field.count:
-            break
-        moved = room.into_the_way(rng, rock) if in_the_way and not rocks else rock
-        if room.fits(moved):
-            rocks.append(moved)
-    if not terrain.rough or not rocks:
-        return tuple(rocks)
-    ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
-    return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
-
-
 class _Room:
     """Where rocks may lie: not in the body, the base, or where a plate lies in the end.
 
@@ -206,6 +188,22 @@ class _Room:
         if fit:
             self._placed.append((x, y, rock.diameter))
         return fit
+
+
+def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain, rng: Random, room: _Room) -> Rocks:
+    """Draw the rocks of a field around a point, as many as find room, and put them on the ground."""
+    rocks: list[Rock] = []
+    in_the_way = rng.random() < IN_THE_WAY
+    for rock in draw_rocks(rng, centre, field):
+        if len(rocks) == field.count:
+            break
+        moved = room.into_the_way(rng, rock) if in_the_way and not rocks else rock
+        if room.fits(moved):
+            rocks.append(moved)
+    if not terrain.rough or not rocks:
+        return tuple(rocks)
+    ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
+    return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
 
 
 def _least_distance(points: Array, x: float, y: float) -> float:

@@ -1,26 +1,22 @@
 """A scene is data: what lies where, independent of any simulator."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.postures import Posture, all_postures, footprint, postures
 from lunar_rescue.scenes.records import checked, from_json, within
 from lunar_rescue.scenes.rocks import MAX_ROCKS, Rock
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 from lunar_rescue.scenes.targets import approach_sides
-from lunar_rescue.scenes.terrain import PLACE_RANGE, SMOOTH, Terrain
-
-Array = NDArray[np.float64]
+from lunar_rescue.scenes.terrain import SMOOTH, Place, Terrain
 
 TASKS = ("lift", "turn_over")
 
@@ -30,8 +26,6 @@ FRICTION_RANGE = (0.7, 0.9)  # regolith friction angle 35 to 42 deg (NTRS 197300
 BASE_RANGE = (0.75, 2.5)  # m, base to centre of gravity in any scene; nearer the robot would stand in the body
 BASE_RADIUS = 0.30  # m, in any scene; drawn rocks keep further away
 SAME = 1e-6  # m or half turns, what is written twice in a scene agrees within this
-
-Place = Annotated[float, within(PLACE_RANGE)]
 
 
 @checked
@@ -60,10 +54,9 @@ class Scene:
             raise ValueError(f"Scene.posture: expected one of {', '.join(known)}; got {self.posture!r}")
         if self.task not in known[self.posture].tasks:
             raise ValueError(f"Scene.task: posture {self.posture!r} has {known[self.posture].tasks}, got {self.task!r}")
-        distance = math.hypot(self.base_x - self.astronaut_x, self.base_y - self.astronaut_y)
-        if not BASE_RANGE[0] <= distance <= BASE_RANGE[1]:
-            expected = f"{BASE_RANGE[0]:g} to {BASE_RANGE[1]:g} m"
-            raise ValueError(f"Scene.base_x, base_y: expected {expected} from the astronaut, got {distance:g}")
+        (least, most), away = BASE_RANGE, math.hypot(self.base_x - self.astronaut_x, self.base_y - self.astronaut_y)
+        if not least <= away <= most:
+            raise ValueError(f"Scene.base_x, base_y: expected {least:g} to {most:g} m from the astronaut, got {away:g}")
         self._check_ground()
         if self.rocks:
             self._check_rocks()
@@ -77,9 +70,7 @@ class Scene:
             turned = (self.terrain.yaw - self.astronaut_yaw) / math.pi
             aside = math.dist((self.terrain.x, self.terrain.y), (self.astronaut_x, self.astronaut_y))
             if max(aside, abs(turned - round(turned))) > SAME:
-                raise ValueError(
-                    "Scene.terrain: expected x, y and yaw (or yaw + pi) of the astronaut, who lies on its patch"
-                )
+                raise ValueError("Scene.terrain: expected x, y and yaw (or yaw + pi) of who lies on its patch")
             if self.terrain.patch != ("lying" if len(sides) == 2 else "on_side"):
                 raise ValueError(f"Scene.terrain.patch: not that of {self.posture!r}: {self.terrain.patch!r}")
             if len(sides) == 1 and round(turned) % 2 != (sides[0] < 0):
@@ -118,7 +109,7 @@ class Scene:
         return json.dumps(dataclasses.asdict(self))
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Scene:
+    def from_json(cls, text: str | bytes) -> Self:
         """Read a scene back, bit for bit; ``ValueError`` names what is wrong."""
         return from_json(cls, text, "Scene.")
 
@@ -128,14 +119,8 @@ def task_distribution() -> list[tuple[str, str]]:
     return [(name, task) for name, posture in postures().items() for task in posture.tasks]
 
 
-def rest_pose(scene: Scene) -> tuple[Array, Rotation]:
-    """Return centre of gravity (3,) [m] and rotation of the body frame at the start of an episode."""
-    centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
-    return centre, Rotation.from_euler("z", scene.astronaut_yaw) * scene.model.rest_rotation()
-
-
 def body_surface(scene: Scene) -> Array:
     """Return surface points of the resting astronaut in the world, (M, 3) [m]."""
-    centre, rotation = rest_pose(scene)
+    rotation = Rotation.from_euler("z", scene.astronaut_yaw) * scene.model.rest_rotation()
     local = surface_points(scene.model.limbs) - mass_properties(scene.model.limbs).centre
-    return rotation.apply(local) + centre
+    return rotation.apply(local) + [scene.astronaut_x, scene.astronaut_y, scene.model.rest.height]

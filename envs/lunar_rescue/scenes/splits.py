@@ -5,8 +5,6 @@ Whatever is tried is tried on ``train`` and judged on ``validation`` and ``valid
 seeds; both held-out splits have postures of their own, and rock fields, reliefs and masses that no other scene has.
 """
 
-from __future__ import annotations
-
 _SIZE = 10_000_000
 TRAIN = range(0, 2_000_000_000)
 VALIDATION, VALIDATION_HELDOUT, TEST, HELDOUT = (

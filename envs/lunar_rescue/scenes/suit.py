@@ -1,33 +1,27 @@
 """The suited astronaut as a set of rigid parts, from the angles of the limbs.
 
-A pressurised suit holds its posture, so one rigid body per posture is the model (an assumption,
-see the assumptions table). Lengths follow the 50th percentile male of NASA-STD-3000 with some
-centimetres of suit around them; the life-support backpack and the chest unit are boxes.
+A pressurised suit holds its posture, so one rigid body per posture is the model (an assumption, see the assumptions
+table). Lengths follow the 50th percentile male of NASA-STD-3000 with some centimetres of suit around them; the
+life-support backpack and the chest unit are boxes.
 
 Body frame: x to the front (ventral), y to the left, z to the head, origin in the middle of the torso.
 """
 
-from __future__ import annotations
-
-import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
 
-Array = NDArray[np.float64]
-
-HIP_Z = -0.30  # m, hip joints below the middle of the torso
 SHOULDER = (0.0, 0.27, 0.20)  # m, left shoulder joint; the right one mirrors y
-HIP = (0.0, 0.11, HIP_Z)  # m, left hip joint
+HIP = (0.0, 0.11, -0.30)  # m, left hip joint
 UPPER_ARM, FOREARM = 0.28, 0.32  # m, joint to joint; the forearm includes the glove
 THIGH, SHIN = 0.42, 0.40  # m, joint to joint
-
+SPACING = 0.02  # m, between the points of ``surface_points``
 
 # What a pressurised suit's joints can do, roughly [deg].
 ShoulderFlexion = Annotated[float, within((-40.0, 180.0))]
@@ -57,21 +51,18 @@ class Limbs:
     right_knee_flexion: KneeFlexion
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """One rigid part of the suit."""
 
     name: str  # part name, unique within the suit
     kind: str  # ``"box"``, ``"capsule"`` or ``"sphere"``
     size: tuple[float, ...]  # box half extents (3,) [m]; capsule (radius, length) [m]; sphere (radius,) [m]
-    position: tuple[float, float, float]  # centre in the body frame (3,) [m]
-    # orientation x, y, z, w in the body frame; a capsule's axis is its local z
-    quaternion: tuple[float, float, float, float]
+    position: tuple[float, ...]  # centre in the body frame (3,) [m]
+    quaternion: tuple[float, ...]  # orientation x, y, z, w in the body frame; a capsule's axis is its local z
     mass_fraction: float  # share of the whole suited mass
 
 
-@dataclass(frozen=True)
-class MassProperties:
+class MassProperties(NamedTuple):
     """Mass properties per kilogram of the whole body, in the body frame."""
 
     centre: Array  # centre of gravity (3,) [m]
@@ -83,17 +74,8 @@ def _capsule(name: str, start: Array, end: Array, radius: float, fraction: float
     axis = end - start
     length = float(np.linalg.norm(axis))
     rotation, _ = Rotation.align_vectors([axis / length], [[0.0, 0.0, 1.0]])
-    middle = (start + end) / 2
-    return Part(name, "capsule", (radius, length), _triple(middle), _quad(rotation), fraction)
-
-
-def _triple(vector: Array) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])
-
-
-def _quad(rotation: Rotation) -> tuple[float, float, float, float]:
-    x, y, z, w = rotation.as_quat()
-    return float(x), float(y), float(z), float(w)
+    middle, turn = ((start + end) / 2).tolist(), rotation.as_quat().tolist()
+    return Part(name, "capsule", (radius, length), tuple(middle), tuple(turn), fraction)
 
 
 def _swing(flexion: float, abduction: float, side: int) -> Rotation:
@@ -122,10 +104,9 @@ def suit_parts(limbs: Limbs) -> tuple[Part, ...]:
     identity = (0.0, 0.0, 0.0, 1.0)
     parts = [Part(n, "box", s, c, identity, f) for n, s, c, f in _TRUNK]
     parts.append(Part("helmet", "sphere", (0.17,), (0.02, 0.0, 0.45), identity, 0.06))
-    parts.append(_capsule("hips", np.array([0, -0.08, HIP_Z]), np.array([0, 0.08, HIP_Z]), 0.14, 0.07))
+    parts.append(_capsule("hips", np.array([0, -0.08, HIP[2]]), np.array([0, 0.08, HIP[2]]), 0.14, 0.07))
     for side, name in ((1, "left"), (-1, "right")):
-        parts.extend(_arm(limbs, side, name))
-        parts.extend(_leg(limbs, side, name))
+        parts += [*_arm(limbs, side, name), *_leg(limbs, side, name)]
     return tuple(parts)
 
 
@@ -133,10 +114,8 @@ def _arm(limbs: Limbs, side: int, name: str) -> list[Part]:
     shoulder = np.array([SHOULDER[0], side * SHOULDER[1], SHOULDER[2]])
     swing = _swing(getattr(limbs, f"{name}_shoulder_flexion"), getattr(limbs, f"{name}_shoulder_abduction"), side)
     elbow, hand, _ = _limb(shoulder, swing, getattr(limbs, f"{name}_elbow_flexion"), (UPPER_ARM, FOREARM))
-    return [
-        _capsule(f"{name}_upper_arm", shoulder, elbow, 0.085, 0.025),
-        _capsule(f"{name}_forearm", elbow, hand, 0.065, 0.015),
-    ]
+    upper_arm = _capsule(f"{name}_upper_arm", shoulder, elbow, 0.085, 0.025)
+    return [upper_arm, _capsule(f"{name}_forearm", elbow, hand, 0.065, 0.015)]
 
 
 def _leg(limbs: Limbs, side: int, name: str) -> list[Part]:
@@ -148,7 +127,7 @@ def _leg(limbs: Limbs, side: int, name: str) -> list[Part]:
     return [
         _capsule(f"{name}_thigh", hip, knee, 0.11, 0.045),
         _capsule(f"{name}_shin", knee, ankle, 0.085, 0.02),
-        Part(f"{name}_boot", "box", (0.14, 0.06, 0.05), _triple(boot), _quad(lower), 0.01),
+        Part(f"{name}_boot", "box", (0.14, 0.06, 0.05), tuple(boot.tolist()), tuple(lower.as_quat().tolist()), 0.01),
     ]
 
 
@@ -163,17 +142,15 @@ KEYPOINT_NAMES = (
 def keypoints(limbs: Limbs) -> Array:
     """Return the skeleton's key points in the body frame, (13, 3) [m], in the order of ``KEYPOINT_NAMES``."""
     named = {part.name: part for part in suit_parts(limbs)}
-    points = [np.array(named["helmet"].position)]
+    points = [named["helmet"].position]
     for side in ("left", "right"):
-        points.extend(_ends(named[f"{side}_upper_arm"]))
-        points.append(_ends(named[f"{side}_forearm"])[1])
+        points += [*_ends(named[f"{side}_upper_arm"]), _ends(named[f"{side}_forearm"])[1]]
     for side in ("left", "right"):
-        points.extend(_ends(named[f"{side}_thigh"]))
-        points.append(np.array(named[f"{side}_boot"].position))
+        points += [*_ends(named[f"{side}_thigh"]), named[f"{side}_boot"].position]
     return np.array(points)
 
 
-def _ends(part: Part) -> tuple[Array, Array]:
+def _ends(part: Part) -> tuple[Any, Any]:
     half = Rotation.from_quat(part.quaternion).apply([0.0, 0.0, part.size[1] / 2])
     return np.array(part.position) - half, np.array(part.position) + half
 
@@ -196,8 +173,6 @@ def mass_properties(limbs: Limbs) -> MassProperties:
     """Return centre of gravity and principal inertia per kilogram of the suited body."""
     parts = suit_parts(limbs)
     fractions = np.array([part.mass_fraction for part in parts])
-    if not math.isclose(float(fractions.sum()), 1.0, abs_tol=1e-9):
-        raise ValueError(f"mass fractions of the suit's parts: expected a sum of 1, got {fractions.sum()}")
     positions = np.array([part.position for part in parts])
     centre = fractions @ positions
     tensor = np.zeros((3, 3))
@@ -212,30 +187,28 @@ def mass_properties(limbs: Limbs) -> MassProperties:
 
 
 @lru_cache(maxsize=256)
-def surface_points(limbs: Limbs, spacing: float = 0.02) -> Array:
-    """Return points on the surface of every part in the body frame, (M, 3) [m], about ``spacing`` apart."""
+def surface_points(limbs: Limbs) -> Array:
+    """Return points on the surface of every part in the body frame, (M, 3) [m], about ``SPACING`` apart."""
     clouds = []
     for part in suit_parts(limbs):
-        local = _box_surface(part.size, spacing) if part.kind == "box" else _round_surface(part, spacing)
+        local = _box_surface(part.size) if part.kind == "box" else _round_surface(part)
         clouds.append(Rotation.from_quat(part.quaternion).apply(local) + part.position)
     return np.concatenate(clouds)
 
 
-def _box_surface(half: tuple[float, ...], spacing: float) -> Array:
-    axes = [np.linspace(-h, h, max(2, int(2 * h / spacing) + 1)) for h in half]
+def _box_surface(half: tuple[float, ...]) -> Array:
+    axes = [np.linspace(-h, h, max(2, int(2 * h / SPACING) + 1)) for h in half]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    on_surface = np.any(np.isclose(np.abs(grid), np.array(half)), axis=1)
-    return grid[on_surface]
+    return grid[np.any(np.isclose(np.abs(grid), half), axis=1)]
 
 
-def _round_surface(part: Part, spacing: float) -> Array:
+def _round_surface(part: Part) -> Array:
     radius = part.size[0]
     half = part.size[1] / 2 if part.kind == "capsule" else 0.0
-    count = max(8, int(2 * np.pi * radius / spacing))
+    count = max(8, int(2 * np.pi * radius / SPACING))
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rings = [(radius, z) for z in np.linspace(-half, half, max(2, int(2 * half / spacing) + 1))]
+    rings = [(radius, z) for z in np.linspace(-half, half, max(2, int(2 * half / SPACING) + 1))]
     for polar in np.linspace(0, np.pi / 2, max(4, count // 4)):
         rings += [(radius * np.cos(polar), sign * (half + radius * np.sin(polar))) for sign in (-1, 1)]
-    return np.concatenate(
-        [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(count, z)]) for r, z in rings]
-    )
+    x, y = np.cos(angle), np.sin(angle)
+    return np.concatenate([np.column_stack([r * x, r * y, np.full(count, z)]) for r, z in rings])

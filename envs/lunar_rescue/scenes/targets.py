@@ -4,17 +4,13 @@ One area lies on the head's side of the centre of gravity and one on the feet's 
 under the body from the robot's side.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.postures import Posture
-
-Array = NDArray[np.float64]
 
 PLATE_HALF_WIDTH = 0.12  # m, half the plate's width (0.075) and room for not coming in quite squarely
 NEAREST, FURTHEST = 0.24, 0.66  # m, along the body from the centre of gravity; arms reach no further apart
@@ -33,8 +29,7 @@ HIGHEST = 0.05  # m, a target lies no higher above the ground than this
 DEPTH: dict[str, float] = {"lift": 0.0, "turn_over": 0.15}
 
 
-@dataclass(frozen=True)
-class TargetAreas:
+class TargetAreas(NamedTuple):
     """Two target areas of one posture, side and task."""
 
     offsets: Array  # head's and feet's target from the centre of gravity, rest frame (head along +x) (2, 3) [m]
@@ -61,13 +56,9 @@ def target_areas(posture: Posture, side: int, task: str) -> TargetAreas:
     points = posture.resting_surface()
     depth = DEPTH[task]
     along, towards, height = points[:, 0], side * points[:, 1], points[:, 2]
-    rows = []
-    for direction in (1, -1):
-        candidates = [
-            _candidate(direction * s, along, towards, height, depth) for s in np.arange(NEAREST, FURTHEST, STRIP)
-        ]
-        rows.append(max(candidates)[1:])
-    place, clearance, edge = np.array(rows).T
+    strips = np.arange(NEAREST, FURTHEST, STRIP)
+    best = [max(_candidate(s, along, towards, height, depth) for s in way * strips) for way in (1, -1)]
+    _, place, clearance, edge = np.array(best).T
     z = np.minimum(clearance / 2, HIGHEST) - posture.rest.height
     offsets = np.column_stack([place, np.full(2, side * depth), z])
     return TargetAreas(offsets, clearance, edge, edge - depth + BEFORE_EDGE)

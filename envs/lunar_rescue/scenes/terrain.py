@@ -9,25 +9,20 @@ simulation next to nothing, whereas Bullet's heightfields and meshes cost half a
 (measured, see ``docs/environment.md``), and being solid they cannot hold a part of an arm from below.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 from random import Random
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from lunar_rescue.arrays import Array
 from lunar_rescue.scenes.records import checked, within
-
-Array = NDArray[np.float64]
 
 KINDS = ("smooth", "rough")
 MAX_SLOPE = 10.0  # deg
-PLACE_RANGE = (-100.0, 100.0)  # m or rad, where anything in a scene may lie and turn to
 ROUGH_SHARE = 0.5  # of the scenes, in every split
 RELIEF_HALF = (1.9, 1.6)  # m, half sides of the ground on which mounds lie, along and across the body
 #: The patch without mounds, which the body pressed flat as it fell: to head and feet, and to the front's and the back's
@@ -45,11 +40,10 @@ RELIEFS = range(16)  # reliefs that scenes are drawn from; the simulation keeps 
 HELDOUT_RELIEFS = range(1000, 1008)  # no training scene has these
 RELIEF_STREAM = 1622  # keeps the generator of reliefs apart from others with the same seed
 
-Place = Annotated[float, within(PLACE_RANGE)]
+Place = Annotated[float, within((-100.0, 100.0))]  # m or rad, where anything in a scene may lie and turn to
 
 
-@dataclass(frozen=True)
-class Mound:
+class Mound(NamedTuple):
     """One convex cap; its surface is ``height * (1 - rho^2)`` with rho the distance in units of the radii."""
 
     x: float  # centre in the relief's frame [m]
@@ -89,9 +83,8 @@ class Terrain:
 
     def up(self) -> Array:
         """Return the unit vector against gravity in the scene's frame, (3,)."""
-        s = math.radians(self.slope)
-        away = -math.sin(s)
-        return np.array([away * math.cos(self.downhill), away * math.sin(self.downhill), math.cos(s)])
+        away, z = -math.sin(math.radians(self.slope)), math.cos(math.radians(self.slope))
+        return np.array([away * math.cos(self.downhill), away * math.sin(self.downhill), z])
 
     def height(self, x: Array | float, y: Array | float) -> Array:
         """Return the ground's height above its mean plane at points of the scene's frame, same shape as x [m]."""
@@ -135,21 +128,16 @@ def mounds(relief: int, patch: str) -> tuple[Mound, ...]:
 
 @lru_cache(maxsize=64)
 def _arrays(relief: int, patch: str) -> tuple[Array, Array, Array, Array]:
-    field = mounds(relief, patch)
-    centres = np.array([[m.x, m.y] for m in field])
-    turns = np.array([[math.cos(m.yaw), math.sin(m.yaw)] for m in field])
-    inverse_radii = 1.0 / np.array([[m.along, m.across] for m in field])
-    return centres, turns, inverse_radii, np.array([m.height for m in field])
+    field = np.array(mounds(relief, patch))
+    turns = np.array([[math.cos(yaw), math.sin(yaw)] for yaw in field[:, 5].tolist()])
+    return field[:, :2], turns, 1.0 / field[:, 2:4], field[:, 4]
 
 
 def draw_terrain(rng: Random, pose: tuple[float, float, float], front: int, heldout: bool) -> Terrain:
     """Draw the ground under a body.
 
-    Args:
-        rng: Source of chance.
-        pose: Where the body lies, x, y [m], yaw [rad].
-        front: Side that the front of who lies on a side looks to, +1 or -1 (+1 is +y with the head along +x), else 0.
-        heldout: Whether for the held-out split.
+    ``pose`` is where it lies, x, y [m] and yaw [rad]; ``front`` the side that the front of who lies on a side looks to,
+    +1 or -1 (+1 is +y with the head along +x), else 0.
     """
     if rng.random() >= ROUGH_SHARE:
         return SMOOTH

@@ -8,8 +8,6 @@ Its norm does not depend on the goal, so the ratio of new and old is exp(kappa (
 own goals it is 1 and its gradient, times A^M, is that of Eq. 7, A^M grad cos(s_{t+c} - s_t, g_t).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,33 +20,20 @@ from stable_baselines3.common.utils import FloatSchedule, explained_variance
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import functional
 
-from reproduce.baselines.feudal.config import FunConfig
-from reproduce.baselines.feudal.network import FunNetwork
-from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, as_tensor, env_major
-from reproduce.baselines.feudal.signals import directions, intrinsic_rewards
+from reproduce.baselines.feudal.network import FunConfig, FunNetwork
+from reproduce.baselines.feudal.rollout import FunBuffer, FunRollout, directions, intrinsic_rewards
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns
+from reproduce.learning.sequences import Floats, Minibatch, Rollout, advantages_and_returns, as_tensor, env_major
 
 
 class FunPPO(SequencePPO):
-    """SequencePPO for Worker, with a Manager above it.
-
-    Attributes:
-        fun: What only this method has.
-        memory: What both levels remember of the episodes under way; emptied where one begins.
-    """
+    """SequencePPO for Worker, with a Manager above it; ``memory`` is what both remember of episodes under way."""
 
     policy: FunNetwork  # type: ignore[assignment]  # SB3 believes that every policy is its ActorCriticPolicy
     rollout_buffer: FunBuffer
 
     def __init__(self, *args: Any, fun: FunConfig | None = None, **kwargs: Any) -> None:
-        """Make a learner as SequencePPO does, whose discount and lambda are Worker's.
-
-        Args:
-            *args: See ``SequencePPO``; the policy is ``FunNetwork``.
-            fun: What only this method has.
-            **kwargs: See ``SequencePPO``.
-        """
+        """Make a learner of a ``FunNetwork`` as SequencePPO does; discount and lambda are Worker's."""
         self.fun = fun or FunConfig()
         sizes = {name: getattr(self.fun, name) for name in ("goal_size", "embedding_size", "horizon")}
         kwargs["policy_kwargs"] = {**sizes, **(kwargs.get("policy_kwargs") or {})}
@@ -60,15 +45,8 @@ class FunPPO(SequencePPO):
         self.set_random_seed(self.seed)
         make: Any = self.policy_class
         self.policy = make(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
-        self.rollout_buffer = FunBuffer(
-            self.n_steps,
-            self.observation_space,
-            self.action_space,
-            device="cpu",
-            n_envs=self.n_envs,
-            spec=self.policy.spec,
-            sequence_length=self.sequence_length,
-        )
+        sizes: Any = {"n_envs": self.n_envs, "spec": self.policy.spec, "sequence_length": self.sequence_length}
+        self.rollout_buffer = FunBuffer(self.n_steps, self.observation_space, self.action_space, device="cpu", **sizes)
         self.memory = self.policy.empty_memory(self.n_envs)
         self._last_lstm_states: Any = ()  # sb3-contrib's, which ``memory`` stands in for
         # Goals reach over the end of a rollout: observations and goals of the last c - 1 steps before this one.
@@ -76,8 +54,6 @@ class FunPPO(SequencePPO):
         self._tail_observations = th.zeros(before, self.n_envs, self.policy.spec.observations)
         self._tail_goals = th.zeros(before, self.n_envs, self.fun.goal_size)
         self.clip_range = FloatSchedule(self.clip_range)
-        if self.clip_range_vf is not None:
-            self.clip_range_vf = FloatSchedule(self.clip_range_vf)
 
     # -- collecting ----------------------------------------------------------------------------------------------------
     def collect_rollouts(
@@ -85,8 +61,10 @@ class FunPPO(SequencePPO):
     ) -> bool:
         """Step the environments and fill the buffer; see SB3. False if the callback wants to stop."""
         self.policy.set_training_mode(False)
-        self._tail_observations = self._tail(self._tail_observations, as_tensor(self.rollout_buffer.observations))
-        self._tail_goals = self._tail(self._tail_goals, self.rollout_buffer.goals)
+        # The last c - 1 steps of the rollout before this one.
+        rollout = as_tensor(self.rollout_buffer.observations)
+        self._tail_observations = th.cat([self._tail_observations, rollout])[len(rollout) :]
+        self._tail_goals = th.cat([self._tail_goals, self.rollout_buffer.goals])[len(rollout) :]
         rollout_buffer.reset()
         callback.on_rollout_start()
         for _ in range(n_rollout_steps):
@@ -94,10 +72,6 @@ class FunPPO(SequencePPO):
                 return False
         callback.on_rollout_end()
         return True
-
-    def _tail(self, before: th.Tensor, rollout: th.Tensor) -> th.Tensor:
-        """Return the last c - 1 steps of a rollout that follows ``before``."""
-        return th.cat([before, rollout])[len(rollout) :]
 
     def _collect_step(self, env: VecEnv, callback: BaseCallback) -> bool:
         assert isinstance(self.action_space, spaces.Box)
@@ -145,10 +119,8 @@ class FunPPO(SequencePPO):
         ways, known = directions(states[c - 1 :], following, buffer.ends, c)
         worker, manager = self._returns(intrinsic)
         bounds, first_states = buffer.sequences()
-        transitions = {
-            **{name: getattr(buffer, name) for name in ("observations", "actions", "log_probs", "values")},
-            **{"advantages": worker[0], "returns": worker[1], "hidden": buffer.worker_states},
-        }
+        transitions = {name: getattr(buffer, name) for name in ("observations", "actions", "log_probs", "values")}
+        transitions |= {"advantages": worker[0], "returns": worker[1], "hidden": buffer.worker_states}
         levels = {
             "pooled": buffer.pooled,
             "directions": ways,

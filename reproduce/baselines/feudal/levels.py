@@ -9,8 +9,6 @@ FuN's softmax over U_t w_t becomes a Gaussian with mean U_t w_t and a standard d
 bias, so a zero goal gives a zero mean action. Worker gets goals as data: no gradient of its loss reaches Manager.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch as th
 from gymnasium import spaces
@@ -44,12 +42,8 @@ class DilatedLSTM(nn.Module):
         """Map whole sequences (l, n, i) to (l, n, d) in one LSTM call.
 
         Each group sees every r-th input only, so the groups are r independent LSTMs over sequences of a r-th of the
-        length: they are laid beside each other like so many sequences more.
-
-        Args:
-            inputs: Inputs of consecutive steps, each sequence within one episode.
-            state: State of the groups before the first step, (n, 2, r, d).
-            clock: t of the first step, (n,).
+        length: they are laid beside each other like so many sequences more. Each sequence lies within one episode;
+        ``state`` (n, 2, r, d) is before its first step, ``clock`` (n,) is t there.
         """
         length, count, _ = inputs.shape
         r, rounds = self.groups, -(-length // self.groups)
@@ -74,9 +68,8 @@ class Critic(nn.Module):
     def __init__(self, observation_space: spaces.Box, memory_size: int, hidden_units: int) -> None:
         super().__init__()
         self.encoder = StateEncoder(observation_space, hidden_units)
-        self.head = nn.Sequential(
-            nn.Linear(hidden_units + memory_size, hidden_units), nn.Tanh(), nn.Linear(hidden_units, 1)
-        )
+        layer = nn.Linear(hidden_units + memory_size, hidden_units)
+        self.head = nn.Sequential(layer, nn.Tanh(), nn.Linear(hidden_units, 1))
         self.apply(lambda module: BasePolicy.init_weights(module, gain=float(np.sqrt(2.0))))
         BasePolicy.init_weights(self.head[-1], gain=1.0)
 
@@ -112,14 +105,14 @@ class Worker(nn.Module):
         actions: int,
         hidden_units: int,
         goal_size: int,
-        embedding_size: int,
+        embedding: int,
         horizon: int,
     ) -> None:
         super().__init__()
-        self._shape, self._horizon = (actions, embedding_size), horizon
+        self._shape, self._horizon = (actions, embedding), horizon
         self.core = nn.LSTM(hidden_units, hidden_units)
-        self.embeddings = nn.Linear(hidden_units, actions * embedding_size)
-        self.phi = nn.Linear(goal_size, embedding_size, bias=False)
+        self.embeddings = nn.Linear(hidden_units, actions * embedding)
+        self.phi = nn.Linear(goal_size, embedding, bias=False)
         BasePolicy.init_weights(self.embeddings, gain=0.01)  # small mean actions at first, as SB3's are
         BasePolicy.init_weights(self.phi, gain=1.0)
         self.critic = Critic(observation_space, hidden_units + goal_size, hidden_units)

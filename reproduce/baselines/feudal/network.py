@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
@@ -16,27 +17,49 @@ from torch.distributions import Normal
 from torch.nn import functional
 
 from lunar_rescue.scenes.records import checked
-from reproduce.baselines.feudal.config import Horizon
 from reproduce.baselines.feudal.levels import Manager, Worker
-from reproduce.learning.networks import StateEncoder, flat_spaces
+from reproduce.learning.config import RecurrentConfig, Share
+from reproduce.learning.networks import StateEncoder, flat_box, flat_spaces
 from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
 
+#: c and r; the bound is what a policy file may make us allocate.
+Horizon = Annotated[int, Field(ge=1, le=1000)]
+
+
+@checked
+@dataclass(frozen=True)
+class FunConfig:
+    """Sizes and weights of Manager and Worker."""
+
+    horizon: Horizon = 10  # c, steps that a goal looks ahead and goals are pooled over, and r, the LSTM's groups
+    goal_size: Units = 256  # d, size of Manager's state s and of a goal, and so the units of the dilated LSTM; FuN's
+    embedding_size: Units = 16  # k, size of a goal as Worker sees it; FuN's
+    # alpha, weight of the intrinsic reward in Worker's. It is paid at each step, so a large one pays for not
+    # finishing (with 0.5 none did): about a tenth of it (`fun_intrinsic` in `progress.csv` is the mean before the
+    # weight) must stay under what the time bonus loses in a step.
+    intrinsic_weight: NonNegativeFloat = 0.05
+    random_goals: Share = 0.05  # epsilon, share of steps with a random goal instead of Manager's; FuN says only "small"
+    manager_gamma: Share = 0.99  # Manager's discount, Worker's is `LearnerConfig.gamma`; both: paper, section 4.1
+    manager_gae_lambda: Share = 0.95  # Lambda of Manager's advantages; not in FuN, which has n-step returns; as for SGN
+    concentration: NonNegativeFloat = 1.0  # kappa of von Mises-Fisher; 1 makes the first gradient that of Eq. 7
+
+
+@checked
+@dataclass(frozen=True)
+class FeudalConfig(RecurrentConfig):
+    """A training of Manager and Worker."""
+
+    fun: FunConfig = field(default_factory=FunConfig)  # What only FeUdal Networks have
+
 
 class Memory(NamedTuple):
-    """What is carried from step to step, for n environments; stepping changes it in place.
+    """What is carried from step to step, for n environments; stepping changes it in place."""
 
-    Attributes:
-        clock: Steps since the episode began, (n,).
-        manager: Hidden and cell state of each group of the dilated LSTM, (n, 2, r, d).
-        worker: Hidden and cell state of Worker's LSTM, (n, 2, h).
-        goals: The last c goals sent to Worker, (n, c, d); the goal of step t is at t mod c.
-    """
-
-    clock: th.Tensor
-    manager: th.Tensor
-    worker: th.Tensor
-    goals: th.Tensor
+    clock: th.Tensor  # steps since the episode began, (n,)
+    manager: th.Tensor  # hidden and cell state of each group of the dilated LSTM, (n, 2, r, d)
+    worker: th.Tensor  # hidden and cell state of Worker's LSTM, (n, 2, h)
+    goals: th.Tensor  # the last c goals sent to Worker, (n, c, d); the goal of step t is at t mod c
 
     def forget(self, starts: th.Tensor) -> None:
         """Empty the memory of environments (n,) that begin an episode."""
@@ -51,25 +74,15 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """What both levels put out in one step of n environments.
+    """What both levels put out in one step of n environments."""
 
-    Attributes:
-        actions: Worker's, as drawn, (n, a).
-        log_probs: Logarithm of the actions' probability density, (n,).
-        goals: Goals sent to Worker, random ones among them, (n, d).
-        own_goals: Goals that Manager set, (n, d).
-        pooled: Sum of the last c goals, (n, d).
-        worker_values: V^D, (n,).
-        manager_values: V^M, (n,).
-    """
-
-    actions: th.Tensor
-    log_probs: th.Tensor
-    goals: th.Tensor
-    own_goals: th.Tensor
-    pooled: th.Tensor
-    worker_values: th.Tensor
-    manager_values: th.Tensor
+    actions: th.Tensor  # Worker's, as drawn, (n, a)
+    log_probs: th.Tensor  # logarithm of the actions' probability density, (n,)
+    goals: th.Tensor  # goals sent to Worker, random ones among them, (n, d)
+    own_goals: th.Tensor  # goals that Manager set, (n, d)
+    pooled: th.Tensor  # sum of the last c goals, (n, d)
+    worker_values: th.Tensor  # V^D, (n,)
+    manager_values: th.Tensor  # V^M, (n,)
 
 
 @checked
@@ -77,12 +90,9 @@ class Step:
 class FunSpec(Spec):
     """Sizes, which are all that is needed to build the network."""
 
-    goal_size: Units
-    """d, size of a goal."""
-    embedding_size: Units
-    """k, size of a goal as Worker sees it."""
-    horizon: Horizon
-    """c and r, see ``FunConfig``."""
+    goal_size: Units  # d, size of a goal
+    embedding_size: Units  # k, size of a goal as Worker sees it
+    horizon: Horizon  # c and r, see `FunConfig`
 
     def build(self) -> FunNetwork:
         """Make a network of these sizes, not trained."""
@@ -99,19 +109,8 @@ class FunNetwork(BasePolicy):
     def __init__(
         self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
     ) -> None:
-        """Build the network that spaces and sizes describe.
-
-        Args:
-            seen: Space of flat observations (o,).
-            acts: Space of actions (a,).
-            lr_schedule: Learning rate.
-            log_std_init: Logarithm of the initial standard deviation.
-            **sizes: The sizes in ``FunSpec`` that the spaces do not tell.
-        """
-        for name, space in (("observation_space", seen), ("action_space", acts)):
-            if not isinstance(space, spaces.Box) or len(space.shape) != 1:
-                raise ValueError(f"{name}: expected a Box of one dimension, got {space}")
-        super().__init__(seen, acts)
+        """Build it for observations (o,) and actions (a,); ``sizes`` are those that ``FunSpec`` has besides."""
+        super().__init__(flat_box("observation_space", seen), flat_box("action_space", acts))
         self.spec = spec = FunSpec(seen.shape[0], acts.shape[0], **sizes)
         self.percept = StateEncoder(seen, spec.hidden_units)
         self.percept.apply(lambda module: self.init_weights(module, gain=float(np.sqrt(2.0))))
@@ -124,29 +123,24 @@ class FunNetwork(BasePolicy):
     def empty_memory(self, count: int) -> Memory:
         """Return the memory of ``count`` environments that begin an episode."""
         c, d = self.spec.horizon, self.spec.goal_size
-        return Memory(
-            th.zeros(count, dtype=th.int64),
-            th.zeros(count, 2, c, d),
-            th.zeros(count, 2, self.spec.hidden_units),
-            th.zeros(count, c, d),
-        )
+        clock, worker = th.zeros(count, dtype=th.int64), th.zeros(count, 2, self.spec.hidden_units)
+        return Memory(clock, th.zeros(count, 2, c, d), worker, th.zeros(count, c, d))
 
     @th.no_grad()
     def step(
         self, observations: th.Tensor, memory: Memory, deterministic: bool = False, random_goals: float = 0.0
     ) -> Step:
-        """Act once in n environments.
+        """Act once on observations (n, o), by the mean if ``deterministic``; ``random_goals`` is epsilon.
 
-        Args:
-            observations: (n, o).
-            memory: Changed in place; forget episodes that ended first.
-            deterministic: Whether to act by the mean.
-            random_goals: epsilon, the probability of a random goal.
+        The memory is changed in place; forget episodes that ended first.
         """
         z = self.percept(observations)
         raw = self.manager.core.step(self.manager.space(z), memory.manager, memory.clock)
         own = functional.normalize(raw, dim=-1)
-        goals = self._with_random(own, random_goals) if random_goals > 0.0 else own
+        goals = own
+        if random_goals > 0.0:  # a goal's norm stays 1
+            random = functional.normalize(th.randn_like(own), dim=-1)
+            goals = th.where(th.rand(len(own), 1) < random_goals, random, own)
         memory.goals[th.arange(len(goals)), memory.clock % self.spec.horizon] = goals
         pooled = memory.goals.sum(1)
         before = memory.worker
@@ -166,12 +160,6 @@ class FunNetwork(BasePolicy):
             manager_values=self.manager.value(observations, raw),
         )
 
-    @staticmethod
-    def _with_random(goals: th.Tensor, share: float) -> th.Tensor:
-        """Put random directions in the place of a share of the goals; a goal's norm stays 1."""
-        random = functional.normalize(th.randn_like(goals), dim=-1)
-        return th.where(th.rand(len(goals), 1) < share, random, goals)
-
     def distribution(self, mean: th.Tensor) -> Normal:
         """Return the distribution of actions around their mean (n, a), each dimension by itself."""
         return Normal(mean, self.log_std.exp().expand_as(mean))
@@ -185,13 +173,9 @@ class FunNetwork(BasePolicy):
     def set_goals(
         self, observations: th.Tensor, state: th.Tensor, clock: th.Tensor, mask: th.Tensor
     ) -> tuple[th.Tensor, th.Tensor]:
-        """Return Manager's goals (m, d) and values (m,) at the m real steps of sequences.
+        """Return Manager's goals (m, d) and values (m,) at the m real steps, by ``mask``, of sequences (l, n, o).
 
-        Args:
-            observations: (l, n, o).
-            state: State of the dilated LSTM before each sequence, (n, 2, r, d).
-            clock: Steps since the episode began, where each sequence begins, (n,).
-            mask: Which of (l, n) are real.
+        Before each, the dilated LSTM is in ``state`` (n, 2, r, d), ``clock`` (n,) steps after the episode's beginning.
         """
         raw = self.manager.core(self.states(observations), state, clock)[mask]
         return functional.normalize(raw, dim=-1), self.manager.value(observations[mask], raw)
@@ -199,13 +183,9 @@ class FunNetwork(BasePolicy):
     def act_towards(
         self, observations: th.Tensor, state: tuple[th.Tensor, th.Tensor], mask: th.Tensor, pooled: th.Tensor
     ) -> tuple[Normal, th.Tensor]:
-        """Return Worker's distribution of actions and values (m,) at the m real steps of sequences.
+        """Return Worker's distribution of actions and values (m,) at the m real steps, by ``mask``, of sequences.
 
-        Args:
-            observations: (l, n, o).
-            state: Hidden and cell state of Worker's LSTM before each sequence, each (1, n, h).
-            mask: Which of (l, n) are real.
-            pooled: Sum of the last c goals at the real steps, (m, d).
+        Worker's LSTM begins in ``state``, each (1, n, h); ``pooled`` (m, d) sums the last c goals at the real steps.
         """
         memory = self.worker.core(self.percept(observations), state)[0][mask]
         mean = self.worker.mean(memory, pooled)

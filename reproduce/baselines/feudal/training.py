@@ -1,33 +1,49 @@
-"""`fun`: Manager and Worker trained together on the environment's own reward, as `ppo_lstm` is."""
+"""`fun`: Manager and Worker trained together on the environment's own reward, as `ppo_lstm` is, and acting."""
 
-from __future__ import annotations
-
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.logger import Logger
+import torch as th
+from numpy.typing import NDArray
 
-from reproduce.baselines.feudal.config import FeudalConfig, FunConfig
 from reproduce.baselines.feudal.learner import FunPPO
-from reproduce.baselines.feudal.network import FunNetwork, FunSpec
-from reproduce.baselines.feudal.policy import LEVEL
+from reproduce.baselines.feudal.network import FeudalConfig, FunConfig, FunNetwork, FunSpec
 from reproduce.learning.config import LearnerConfig
-from reproduce.learning.episodes import EpisodeLog
-from reproduce.learning.training import RecurrentTraining, make_environments, own_arguments, stock_arguments
+from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
+from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
+
+LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
+
+
+class FunPolicy(MirroredPolicy):
+    """Manager and Worker, both acting every step, with no random goals."""
+
+    def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
+        """Make a policy, by Worker's mean if ``deterministic``, that acts in no environment yet."""
+        super().__init__(mirrored)
+        self.network, self._deterministic = network, deterministic
+
+    def begin(self, count: int) -> None:
+        """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
+        self._memory = self.network.empty_memory(count)
+
+    def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """Return Worker's actions (n, 11); see ``MirroredPolicy``."""
+        self._memory.forget(th.from_numpy(np.asarray(starts, bool)))
+        step = self.network.step(th.from_numpy(observations), self._memory, self._deterministic)
+        actions: Actions = step.actions.numpy()
+        return actions
+
+
+def load_feudal_policy(folder: Path) -> FunPolicy:
+    """Read the policy of a run folder; see ``load_only_network``."""
+    return FunPolicy(*load_only_network(folder, LEVEL, FunSpec))
 
 
 def make_fun_learner(env: Any, config: LearnerConfig, fun: FunConfig, seed: int) -> FunPPO:
     """Make FuN's learner for SB3's environments; ``config`` says what it shares with the other learners."""
-    learner = FunPPO(
-        FunNetwork,
-        env,
-        policy_kwargs={"hidden_units": config.hidden_units, "log_std_init": config.log_std_init},
-        seed=seed,
-        fun=fun,
-        **stock_arguments(config),
-        **own_arguments(config),
-    )
-    learner.set_logger(Logger(folder=None, output_formats=[]))
+    learner: FunPPO = make_learner(env, config, seed, kind=FunPPO, network=FunNetwork, fun=fun)
     return learner
 
 
@@ -35,21 +51,13 @@ class FunTraining(RecurrentTraining):
     """Trains Manager and Worker; an ``update`` is one rollout and one training of both on it."""
 
     config: FeudalConfig
+    logged = (*RecurrentTraining.logged, "intrinsic", "goal_cosine", "manager_explained_variance")
 
     def __init__(self, config: FeudalConfig, seed: int) -> None:
         venv = make_environments(config, seed)
         env = EpisodeLog(venv)
         self.learner = make_fun_learner(env, config.low, config.fun, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
-
-    def update(self, done: int) -> dict[str, Any]:
-        """Collect a rollout and learn from it; ``done`` steps were taken before."""
-        self.collect(done)
-        self.learner.train()
-        row = self.row()
-        for key in ("intrinsic", "goal_cosine", "manager_explained_variance"):
-            row[f"{LEVEL}_{key}"] = self.learner.logger.name_to_value.get(f"train/{key}", np.nan)
-        return row
 
     def networks(self) -> dict[str, tuple[FunSpec, FunNetwork]]:
         """Return Manager and Worker, one network, with its sizes; see ``Training``."""

@@ -4,8 +4,6 @@ The last part of every way is a straight slide in front of and then under the bo
 solved backwards from several goals for each arm, and RRT-Connect finds the way to where the slide begins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,15 +15,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as strict_dataclass
 
-from lunar_rescue import LunarRescueEnv
+from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.kinematics import TIP, ArmChain, solve_arms
-from lunar_rescue.physics.robot import ARMS, WAIST, Arm
-from reproduce.baselines.planner.collision import BODY_TOUCH, CollisionChecker
+from lunar_rescue.physics.robot import ARM_JOINTS, ARMS, WAIST, Arm
 from reproduce.baselines.planner.rrt import connect, length, line_is_free, path_is_free, shortcut
-from reproduce.baselines.way_points import DATA, STRICT, Degrees, Metres, read_data
+from reproduce.baselines.scripted import DATA, STRICT, Degrees, Metres, read_data
 
 Array = NDArray[np.float64]
 
+ROCK_MARGIN = 0.015  # m, motors lag and sag a little on the way
+BODY_TOUCH = 0.006  # m, the plates are 3 cm thick and slide in under a suit that yields to a light touch
+GROUND_TOUCH = 0.010  # m, plates skim over loose regolith
 REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
@@ -42,50 +42,32 @@ LONGEST = 7.5  # rad, a longer way leaves no time for the second process
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard to look for a way.
+    """How hard to look for a way."""
 
-    Attributes:
-        touches: How far into the resting body a slide may lead [m], tried one after the other: a suit that lies close
-            to the ground gives way to a plate, which only trying out can tell.
-        draws: Draws of RRT-Connect for one way; without any only straight lines are tried.
-        slides: Slides of one stance for which a way is sought.
-    """
-
+    # how far into the resting body a slide may lead [m], tried one after the other: a suit that lies close to
+    # the ground gives way to a plate, which only trying out can tell
     touches: tuple[float, ...]
-    draws: int
-    slides: int
+    draws: int  # draws of RRT-Connect for one way; without any only straight lines are tried
+    slides: int  # slides of one stance for which a way is sought
 
 
 @strict_dataclass(frozen=True, config=STRICT)
 class Stance:
-    """How the waist leans while the plates slide in.
+    """How the waist leans while the plates slide in."""
 
-    Attributes:
-        under: Waist angle with the plates under the body [deg].
-        lean: How much further it leans per metre slid in [deg/m].
-    """
-
-    under: Degrees
-    lean: Annotated[float, Field(ge=-200.0, le=200.0)]
+    under: Degrees  # waist angle with the plates under the body [deg]
+    lean: Annotated[float, Field(ge=-200.0, le=200.0)]  # how much further it leans per metre slid in [deg/m]
 
 
 @strict_dataclass(frozen=True, config=STRICT)
 class Goal:
-    """Where one plate goes, beside its target.
+    """Where one plate goes, beside its target."""
 
-    Attributes:
-        ahead: Further under the body [m].
-        aside: Outwards, away from the other arm [m].
-        up: Higher [m].
-        slope: Forearm above the horizontal [deg].
-        turn: Direction of the slide, outwards from straight ahead [deg].
-    """
-
-    ahead: Metres = 0.0
-    aside: Metres = 0.0
-    up: Metres = 0.0
-    slope: Degrees = -3.0
-    turn: Degrees = 0.0
+    ahead: Metres = 0.0  # further under the body [m]
+    aside: Metres = 0.0  # outwards, away from the other arm [m]
+    up: Metres = 0.0  # higher [m]
+    slope: Degrees = -3.0  # forearm above the horizontal [deg]
+    turn: Degrees = 0.0  # direction of the slide, outwards from straight ahead [deg]
 
 
 @strict_dataclass(frozen=True, config=STRICT)
@@ -116,6 +98,49 @@ class Way(NamedTuple):
 
     path: Array
     kind: str
+
+
+class CollisionChecker:
+    """Hold robot, astronaut, ground and rocks of one scene, placed as at the start of an episode."""
+
+    def __init__(self, env: LunarRescueEnv | None = None) -> None:
+        """Build on an environment of its own, or on one that nobody steps."""
+        self._env = env or LunarRescueEnv()
+        self.body_touch = BODY_TOUCH  # how deep robot and resting astronaut may overlap [m]
+        self.checks = 0  # configurations checked so far
+
+    def set_scene(self, scene: Scene, margin: float = ROCK_MARGIN) -> None:
+        """Place everything of a scene, with rocks ``margin`` [m] larger than they are."""
+        self._env.reset_flat(options={"scene": scene})
+        episode, simulation = self._env.episode, self._env.simulation
+        self._astronaut = episode.astronaut.handle
+        self._rocks = [*episode.rocks]
+        for vertices in [rock.vertices() for rock in scene.rocks] if margin else []:
+            outward = vertices - vertices.mean(axis=0)
+            grown = vertices + margin * outward / np.linalg.norm(outward, axis=1, keepdims=True)
+            self._rocks.append(simulation.add_hull(grown))
+        # An environment may load a new robot at a reset.
+        by_name = {row[1]: row[0] for row in simulation.joint_table(self._env.robot.handle)}
+        names = [f"{arm.name}_{joint}" for arm in ARMS for joint in ARM_JOINTS] + ["waist"]
+        self._joints = [by_name[name] for name in names]
+        relief = simulation.relief
+        self._grounds = [simulation.ground] + ([] if relief is None else [relief])
+
+    def close(self) -> None:
+        """Disconnect from the simulation; nothing can be checked afterwards."""
+        self._env.close()
+
+    def free(self, angles: Array) -> bool:
+        """Whether the robot at these angles (11,) [rad] touches no rock, itself or, beyond a light touch, anything."""
+        self.checks += 1
+        robot, simulation = self._env.robot.handle, self._env.simulation
+        simulation.reset_joints(robot, self._joints, angles)
+        # The first question also detects the contacts that the later ones read.
+        if simulation.penetration(robot, self._astronaut) > self.body_touch:
+            return False
+        if any(simulation.touching(robot, other) for other in (*self._rocks, robot)):
+            return False
+        return all(simulation.penetration(robot, ground) <= GROUND_TOUCH for ground in self._grounds)
 
 
 class ApproachPlanner:
@@ -155,14 +180,11 @@ class ApproachPlanner:
                     break
 
     # -- slides ------------------------------------------------------------------------------------------------------
-    def _waists(self, stance: Stance) -> Array:
-        """Return the waist angle above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad]."""
-        slide = stance.under - stance.lean * self._backs
-        return np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
-
     def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
         """Yield free slides of both arms to goals: whole, with a hover above the entry first, or their last part."""
-        free, waists = self._checker.free, self._waists(stance)
+        free, slide = self._checker.free, stance.under - stance.lean * self._backs
+        # The waist above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad].
+        waists = np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
         if stance not in self._solved:
             self._solved[stance] = [
                 self._solve(a, target, waists) for a, target in zip(ARMS, self.targets, strict=True)

@@ -1,6 +1,4 @@
-"""Plan a whole rescue with full knowledge, trying it out in a copy of the environment before it is done."""
-
-from __future__ import annotations
+"""`planner`: plans a whole rescue with full knowledge, trying it out in a copy of the simulator before it is done."""
 
 import time
 from collections.abc import Iterator
@@ -13,11 +11,11 @@ from numpy.typing import NDArray
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.physics.solver import SETTINGS, SolverSettings
-from reproduce.baselines.planner.approach import ApproachPlanner
-from reproduce.baselines.planner.collision import CollisionChecker
+from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker
 from reproduce.baselines.planner.rollout import Rollout, Trial
-from reproduce.baselines.way_points import VARIANTS as VARIANTS_FILE
-from reproduce.baselines.way_points import Variant, kind, load_way_points, vary
+from reproduce.baselines.scripted import VARIANTS as VARIANTS_FILE
+from reproduce.baselines.scripted import Variant, kind, load_way_points, vary
+from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 
 APPROACHES = 8  # ways tried out, at most
@@ -27,31 +25,18 @@ OTHER_WAY_AFTER = 8  # variants, before a second way under the body is looked fo
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do in one scene, and how it was found.
+    """What to do in one scene, and how it was found."""
 
-    Attributes:
-        actions: Actions (steps, 11) in [-1, 1].
-        under: Whether both arms came under the body when it was tried out.
-        rescued: Whether the rescue succeeded when it was tried out.
-        first_under: Whether the first way that the collision check let pass did, without another look.
-        first_rescued: Whether the first way with the first variant succeeded.
-        way: How the way under the body was found: ``"straight"``, ``"rrt"`` or ``"none"``.
-        ways_tried: Ways tried out.
-        variants_tried: Lifts or turns tried out.
-        variant: Which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene.
-        seconds: Time taken to plan, trials included.
-    """
-
-    actions: NDArray[np.float32]
-    under: bool
-    rescued: bool
-    first_under: bool
-    first_rescued: bool
-    way: str
-    ways_tried: int
-    variants_tried: int
-    variant: int
-    seconds: float
+    actions: NDArray[np.float32]  # actions (steps, 11) in [-1, 1]
+    under: bool  # whether both arms came under the body when it was tried out
+    rescued: bool  # whether the rescue succeeded when it was tried out
+    first_under: bool  # whether the first way that the collision check let pass did, without another look
+    first_rescued: bool  # whether the first way with the first variant succeeded
+    way: str  # how the way under the body was found: ``"straight"``, ``"rrt"`` or ``"none"``
+    ways_tried: int  # ways tried out
+    variants_tried: int  # lifts or turns tried out
+    variant: int  # which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene
+    seconds: float  # time taken to plan, trials included
 
 
 class RescuePlanner:
@@ -60,11 +45,7 @@ class RescuePlanner:
     def __init__(
         self, variants: int = VARIANTS, approaches: int = APPROACHES, solver: SolverSettings = SETTINGS
     ) -> None:
-        """Set the caps on what is tried out; the two simulations are started with the first scene.
-
-        Raises:
-            UserError: On a cap below 1.
-        """
+        """Set the caps, at least 1, on what is tried out; the two simulations are started with the first scene."""
         for name, value in (("variants", variants), ("approaches", approaches)):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")
@@ -72,20 +53,13 @@ class RescuePlanner:
         self._simulations: tuple[LunarRescueEnv, CollisionChecker] | None = None
 
     def close(self) -> None:
-        """Disconnect from the simulations."""
+        """Disconnect from both simulations, which a next scene starts anew."""
         for simulation in self._simulations or ():
             simulation.close()
         self._simulations = None
 
     def plan(self, scene: Scene) -> Plan:
-        """Plan a scene.
-
-        Args:
-            scene: Any scene.
-
-        Returns:
-            The first plan that succeeded, or the one that came furthest.
-        """
+        """Return the first plan of a scene that succeeded, or the one that came furthest."""
         begun = time.monotonic()
         if self._simulations is None:
             self._simulations = LunarRescueEnv(solver=self._solver), CollisionChecker()
@@ -122,8 +96,7 @@ class _Search:
     def rescue(self, most: int) -> tuple[Trial, str, int]:
         """Try out at most so many variants on the ways under the body.
 
-        Returns:
-            The trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
+        Returns the trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
         """
         under = [*filter(None, [self._next_under()])]
         if not under:
@@ -163,3 +136,33 @@ def _variants(scene: Scene) -> Iterator[Variant]:
     rng = np.random.default_rng([abs(scene.seed), 2])
     for variant in cycle(listed):
         yield vary(variant, rng)
+
+
+class PlannerPolicy(Policy):
+    """Do what was planned for the scene, whatever is seen; one environment at a time."""
+
+    def __init__(self, planner: RescuePlanner | None = None) -> None:
+        """Plan with ``planner``, or one of its own."""
+        self._planner = planner or RescuePlanner()
+        self._step = 0
+        self._plan: Plan | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The plan for the present episode; ``UserError`` where no scene was given yet."""
+        if self._plan is None:
+            raise UserError("planner: needs the scene before it can act; call prepare(scene)")
+        return self._plan
+
+    def prepare(self, scene: Scene) -> None:
+        """Plan for the episode that is about to begin."""
+        self._plan, self._step = self._planner.plan(scene), 0
+
+    def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
+        """See ``Policy.act``; past its end, the plan's last action goes on."""
+        actions = self.plan.actions
+        if len(observations) != 1:
+            raise UserError(f"planner: acts in one environment at a time, got observations of {len(observations)}")
+        action = actions[min(self._step, len(actions) - 1)]
+        self._step += 1
+        return action[None].copy()

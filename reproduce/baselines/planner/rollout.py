@@ -1,7 +1,5 @@
 """Try a plan out in an environment: follow a joint path until both arms are under, then way-points."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +7,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
 from reproduce.baselines.planner.rrt import resample
-from reproduce.baselines.way_points import ARRIVED, Variant
+from reproduce.baselines.scripted import ARRIVED, Variant
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
@@ -42,12 +40,9 @@ class Rollout:
         return Trial(np.array(self._actions), self._under, self._rescued)
 
     def rescue(self, approach: Trial, variant: Variant, targets: Array) -> Trial:
-        """Repeat an approach, then go through a variant's way-points.
+        """Repeat an approach that got both arms under, then go through the way-points of a lift or turn.
 
-        Args:
-            approach: Trial that got both arms under.
-            variant: Way-points of the lift or turn.
-            targets: The two targets as first seen, base frame (2, 3) [m].
+        ``targets`` are the two as first seen, in the base frame (2, 3) [m].
         """
         self._begin()
         for action in approach.actions:

@@ -3,8 +3,6 @@
 Distances are the largest change of any joint: all joints have the same speed limit, so that is the time a motion takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -47,21 +45,18 @@ class _Tree:
     """A tree of configurations and their parents, grown from one end."""
 
     def __init__(self, root: Array) -> None:
-        self._points = np.empty((64, len(root)))
-        self._points[0] = root
+        self.points = np.empty((64, len(root)))  # doubled when they are full
+        self.points[0] = root
         self._parents = [-1]
 
     def nearest(self, point: Array) -> int:
-        return int(np.abs(self._points[: len(self._parents)] - point).max(axis=1).argmin())
-
-    def point(self, index: int) -> Array:
-        return self._points[index].copy()
+        return int(np.abs(self.points[: len(self._parents)] - point).max(axis=1).argmin())
 
     def add(self, point: Array, parent: int) -> int:
         index = len(self._parents)
-        if index == len(self._points):
-            self._points = np.concatenate([self._points, np.empty_like(self._points)])
-        self._points[index] = point
+        if index == len(self.points):
+            self.points = np.concatenate([self.points, np.empty_like(self.points)])
+        self.points[index] = point
         self._parents.append(parent)
         return index
 
@@ -69,7 +64,7 @@ class _Tree:
         """Return the configurations from the root to this one."""
         points = []
         while index >= 0:
-            points.append(self.point(index))
+            points.append(self.points[index])
             index = self._parents[index]
         return points[::-1]
 
@@ -77,7 +72,7 @@ class _Tree:
 def _extend(tree: _Tree, towards: Array, free: Free, resolution: float) -> tuple[int, bool]:
     """Grow by one branch as far as it is free; return its end (-1 when blocked) and whether that is ``towards``."""
     near = tree.nearest(towards)
-    start = tree.point(near)
+    start = tree.points[near]
     way = towards - start
     distance = float(np.abs(way).max())
     part = min(1.0, STEP / max(distance, 1e-12))
@@ -96,7 +91,7 @@ def _greedily(tree: _Tree, target: Array, free: Free, resolution: float) -> tupl
     grown, met, gap = 0, False, np.inf
     while not met:
         grown, met = _extend(tree, target, free, resolution)
-        left = float(np.abs(tree.point(grown) - target).max()) if grown >= 0 else np.inf
+        left = float(np.abs(tree.points[grown] - target).max()) if grown >= 0 else np.inf
         if left >= gap - 1e-9 and not met:
             return -1, False
         gap = left
@@ -115,17 +110,8 @@ def connect(
 ) -> Array | None:
     """Find a way by RRT-Connect (Kuffner and LaValle 2000): two trees that grow towards each other.
 
-    Args:
-        start: First configuration (n,).
-        goal: Last configuration (n,).
-        free: Whether a configuration is free of collision.
-        bounds: Smallest and largest configuration (n,).
-        rng: Where all draws come from.
-        draws: Most draws.
-        resolution: Distance between two checks.
-
-    Returns:
-        A path (m, n) from start to goal, or None when an end is not free or the draws did not suffice.
+    Configurations (n,) are drawn between ``bounds``, and lines checked every ``resolution`` [rad]. Returns a path
+    (m, n) from start to goal, or None when an end is not free or the draws did not suffice.
     """
     if not (free(start) and free(goal)):
         return None
@@ -136,7 +122,7 @@ def connect(
     for _ in range(draws):
         new, _ = _extend(first, rng.uniform(*bounds), free, resolution)
         if new >= 0:
-            grown, met = _greedily(second, first.point(new), free, resolution)
+            grown, met = _greedily(second, first.points[new], free, resolution)
             if met:
                 ways = first.branch(new), second.branch(grown)
                 here, there = ways if forward else ways[::-1]

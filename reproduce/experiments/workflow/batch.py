@@ -1,7 +1,5 @@
 """``reproduce batch``: one Snakemake a folder, which ends with its batch, and the list of what failed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -42,14 +40,9 @@ def run_batch(
 ) -> None:
     """Do what of a plan is not done yet.
 
-    Args:
-        plan: What to do.
-        out: Folder of the batch, laid out as results/ is.
-        profile: ``local``, ``slurm`` or a folder with a Snakemake profile.
-        slots: Steps at once.
-        until: One of ``TARGETS``.
-        dry_run: Only say what is left.
-        echo: Takes lines for people.
+    ``out`` is laid out as results/ is; ``profile`` is ``local``, ``slurm`` or a folder with a Snakemake profile;
+    ``slots`` are steps at once; ``until`` is one of ``TARGETS``; ``dry_run`` only says what is left; ``echo`` takes
+    lines for people.
 
     Raises:
         UserError: When the folder cannot be written or belongs to another batch under way.
@@ -126,11 +119,15 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RunFailedError(f"batch: Snakemake ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
-    lines = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
-    for line in lines:
-        if line.startswith(("output: ", "reason: Missing", "reason: Input", "reason: Params", "reason: Set")):
-            echo(line.removeprefix("output: ") if line.startswith("output: ") else f"  {line}")
-    steps = sum(line.startswith("output: ") for line in lines)
+    steps = 0
+    for line in map(str.strip, (done.stdout + done.stderr).splitlines()):
+        kind, _, rest = line.partition(": ")
+        if kind == "output":
+            steps += 1
+            for name in rest.split(", "):
+                echo(name)
+        elif line.startswith(("reason: Missing", "reason: Input", "reason: Params", "reason: Set")):
+            echo(f"  {line}")
     echo(f"{steps} steps left")
 
 

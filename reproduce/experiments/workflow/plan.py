@@ -33,19 +33,12 @@ MOST_SEEDS = 1000
 
 @dataclass(frozen=True)
 class Job:
-    """One step; its files are relative to the batch's folder.
+    """One step; its files are relative to the batch's folder."""
 
-    Attributes:
-        rule: Rule of the Snakefile that does it.
-        name: What people call it, such as "train hrl_dcs seed 0".
-        output: The file that it writes; the step is done when it is there.
-        label: Stem of its log and of the file with its seconds.
-    """
-
-    rule: str
-    name: str
-    output: Path
-    label: str
+    rule: str  # rule of the Snakefile that does it
+    name: str  # what people call it, such as "train hrl_dcs seed 0"
+    output: Path  # the file that it writes; the step is done when it is there
+    label: str  # stem of its log and of the file with its seconds
 
     @property
     def log(self) -> Path:
@@ -60,33 +53,20 @@ class Job:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that a batch is to do.
+    """Everything that a batch is to do."""
 
-    Attributes:
-        preset: Preset of trainings and notebooks.
-        methods: Names of methods in the registry's order.
-        seeds: Seeds of each method that learns, in order.
-        threads: Cores of one step.
-        environment: Version of the environment; results of another one are made anew.
-        configurations: A digest of each method's configuration; likewise.
-        notebooks: Names of the notebooks.
-    """
-
-    preset: str
-    methods: tuple[str, ...]
-    seeds: tuple[int, ...]
-    threads: int
-    environment: str
-    configurations: dict[str, str]
+    preset: str  # preset of trainings and notebooks
+    methods: tuple[str, ...]  # names of methods in the registry's order
+    seeds: tuple[int, ...]  # seeds of each method that learns, in order
+    threads: int  # cores of one step
+    environment: str  # version of the environment; results of another one are made anew
+    configurations: dict[str, str]  # a digest of each method's configuration; likewise
+    # names of the notebooks
     notebooks: tuple[str, ...] = field(default_factory=lambda: tuple(path.stem for path in notebook_files()))
 
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
-        """Plan the batch of some methods and seeds, given in any order.
-
-        Raises:
-            UserError: On an unknown preset or method.
-        """
+        """Plan the batch of some methods and seeds, in any order; an unknown preset or method is a UserError."""
         wanted = {get_method(method).name for method in methods}
         names = [name for name in METHODS if name in wanted]
         digests = {name: _digest(METHODS[name].config(preset)) for name in names}
@@ -94,11 +74,7 @@ class Plan:
 
     @classmethod
     def read(cls, path: Path) -> Plan:
-        """Read a plan that a batch has written.
-
-        Raises:
-            UserError: When the file is missing or holds no plan.
-        """
+        """Read a plan that a batch has written; a UserError where the file is missing or holds none."""
         data = read_json(path, "plan of a batch")
         try:
             return TypeAdapter(cls).validate_python(data)
@@ -155,11 +131,7 @@ def _digest(config: TrainingConfig) -> str:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names.
-
-    Raises:
-        UserError: On anything else.
-    """
+    """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names; a UserError says what else was given."""
     seeds: list[int] = []
     for part in text.split(","):
         first, separator, last = part.strip().partition("-")

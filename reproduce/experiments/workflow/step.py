@@ -4,8 +4,6 @@ Steps are told to end as soon as Snakemake, their parent, has ended by whatever 
 and goes on from it with the next batch, and none runs on beside that one.
 """
 
-from __future__ import annotations
-
 import runpy
 import signal
 import sys
