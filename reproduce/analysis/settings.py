@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import itertools
 import textwrap
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -25,15 +26,19 @@ TITLES = {
 
 
 def notes(kind: type) -> dict[str, str]:
-    """The sentences under the fields of a configuration class, by field."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    assert isinstance(tree, ast.ClassDef)
-    found = {}
-    for field, text in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-            assert isinstance(field.target, ast.Name)
-            found[field.target.id] = " ".join(str(text.value.value).split())
-    return found
+    """Return what the source of a configuration class says of each field: above it, beside it, or below as a string."""
+    source = textwrap.dedent(inspect.getsource(kind))
+    lines, (tree,) = source.splitlines(), ast.parse(source).body
+    told = {}
+    for field, below in itertools.zip_longest(tree.body, tree.body[1:]):  # type: ignore[attr-defined]
+        if not isinstance(field, ast.AnnAssign):
+            continue
+        above = itertools.takewhile(lambda line: line.startswith("#"), map(str.strip, lines[field.lineno - 2 :: -1]))
+        beside = lines[(field.end_lineno or field.lineno) - 1][field.end_col_offset :].partition("#")[2]
+        text = str(below.value.value) if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) else ""
+        words = " ".join([*(line[1:] for line in reversed(list(above))), beside, text])
+        told[ast.unparse(field.target)] = " ".join(words.split())
+    return told
 
 
 def settings_table(preset: str) -> pd.DataFrame:

@@ -82,6 +82,9 @@ class StandardisedExtractor(BaseFeaturesExtractor):
         return standardised
 
 
+# Without a schema of its own pydantic would make a ``Spec``, which builds nothing.
+@checked
+@dataclass(frozen=True)
 class SacSpec(Spec):
     """Sizes, which are all that is needed to build the actor."""
 

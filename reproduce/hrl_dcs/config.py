@@ -57,11 +57,13 @@ class AnchorConfig:
     rise: PositiveLength = 0.15  # What the slope of a plate counts beside positions: the rise of so much of a plate [m]
     rise_apart: Length = 0.05  # Furthest that one plate's rise moves away from that of both together [m]
     rise_in: Height = -0.052  # Rise of the plates in process 1's anchors [m]: tips down (20 deg) slide in, level push
-    # Anchors for lifting a body; one face down rolls off unless plates slope more and come back as they rise
+    # Anchors for lifting a body that is not face down
     lift: CarryConfig = CarryConfig(rise=0.015, final_rise=0.015, further=0.10, final_further=0.10)
+    # Anchors for lifting one face down: it rolls off unless plates slope more and come back as they rise
     lift_face_down: CarryConfig = CarryConfig(rise=0.015, final_rise=0.105, further=0.15, final_further=0.0)
-    # Anchors for turning a body; under one face down the arms go on
+    # Anchors for turning a body that is not face down
     turn: CarryConfig = CarryConfig(rise=0.0, final_rise=0.0, further=0.0, final_further=0.0)
+    # Anchors for turning one face down: the arms go on under it
     turn_face_down: CarryConfig = CarryConfig(rise=0.03, final_rise=0.03, further=0.0, final_further=0.30)
     rising_from: Height = 0.05  # Height of the arms over their beginning from which anchors change their shape [m]
     rising_to: Height = 0.30  # Height at which they have it [m]
