@@ -51,7 +51,7 @@ def train(
 def evaluate(
     run: console.Policy,
     tests: console.Tests = 1000,
-    split: console.Split = "validation",
+    split: console.Split = None,
     first_seed: console.FirstSeed = None,
     ablation: Annotated[str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
@@ -251,7 +251,7 @@ def bench(
 @app.command()
 def solvable(
     tests: console.Tests = 500,
-    split: console.Split = "validation",
+    split: console.Split = None,
     first_seed: console.FirstSeed = None,
     variants: Annotated[int, typer.Option(min=1, help="most lifts or turns tried out for a scene")] = 40,
     json: console.JsonFile = None,
@@ -275,7 +275,7 @@ def convergence(
     from reproduce.experiments.convergence import FOLDER, measure_convergence
     from reproduce.experiments.pool import first_scene
 
-    measure_convergence(actors, tests, first_scene("validation", None, typer.echo), folder=out or FOLDER)
+    measure_convergence(actors, tests, first_scene(None, None, typer.echo), folder=out or FOLDER)
 
 
 @app.command()

@@ -38,9 +38,9 @@ def folder(words: str) -> Any:
 Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
 Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")]
 Tests = Annotated[int, typer.Option(min=1, help="number of scenes")]
-SPLIT = "validation, validation-heldout, train, or for final figures test, heldout: where scenes are from"
-Split = Annotated[str, typer.Option(help=SPLIT)]
-FirstSeed = Annotated[int | None, typer.Option(min=0, help="first scene; the split's first one without it")]
+SPLIT = "validation (unless --first-seed says otherwise), validation-heldout, train, or for final figures test, heldout"
+Split = Annotated[str | None, typer.Option(help=SPLIT)]
+FirstSeed = Annotated[int | None, typer.Option(min=0, help="seed of the first scene; the split's first one without it")]
 SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
 Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
 Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]

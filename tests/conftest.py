@@ -36,7 +36,8 @@ def scene_rows(outcomes: Sequence[bool], first_seed: int = 0, **columns: Any) ->
     rows = pd.DataFrame({"seed": range(first_seed, first_seed + len(outcomes)), "success": list(outcomes)})
     rows["posture"] = list(itertools.islice(itertools.cycle(postures()), len(rows)))
     rows = rows.assign(task="turn_over", mass=200.5, terrain="rough", both_arms_under=True, steps=40, nearest_mark=None)
-    rows = rows.assign(**{"return": 1.5, **columns})
+    peaks = {"peak_force": 600.5, "peak_speed": 0.5, "peak_acceleration": 4.5, "gentle": True}
+    rows = rows.assign(**{"return": 1.5, **peaks, **columns})
     rows["attitude"] = [all_postures()[name].attitude for name in rows["posture"]]
     rows["rocks"] = 2 * rows["nearest_mark"].notna()
     rows["failure"] = [None if success else "timeout" for success in rows["success"]]

@@ -14,6 +14,7 @@ import pytest
 from reproduce.experiments import evaluations
 from reproduce.experiments.evaluate import evaluate, find_policy
 from reproduce.experiments.evaluations import EVALUATIONS, evaluate_run, evaluations_of
+from reproduce.experiments.pool import first_scene
 from reproduce.experiments.rows import as_table, read_rows, rows_path, summarise, wilson, write_rows
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
@@ -23,7 +24,7 @@ def _row(seed: int, **changes: Any) -> dict[str, Any]:
     return {
         "seed": seed, "task": "lift", "posture": "prone_crawl", "attitude": "prone", "mass": 200.5, "rocks": 0,
         "terrain": "rough", "success": True, "failure": None, "both_arms_under": True, "steps": 40, "return": 0.1 + 0.2,
-        "nearest_mark": None, **changes,
+        "nearest_mark": None, "peak_force": 600.5, "peak_speed": 0.5, "peak_acceleration": 4.5, "gentle": True, **changes,
     }  # fmt: skip
 
 
@@ -33,7 +34,7 @@ def rows() -> pd.DataFrame:
         [
             _row(7),
             _row(8, success=False, failure="timeout", both_arms_under=False, steps=120),
-            _row(9, task="turn_over", rocks=2, nearest_mark=0.25),
+            _row(9, task="turn_over", rocks=2, nearest_mark=0.25, peak_force=806.5, gentle=False),
             _row(10, task="turn_over", success=False, failure="timeout", steps=120, posture="supine_straight",
                  attitude="supine"),
         ]
@@ -43,9 +44,10 @@ def rows() -> pd.DataFrame:
 def test_a_summary_by_hand(rows: pd.DataFrame) -> None:
     summary = summarise(rows)
     assert (summary["tests"], summary["successes"], summary["success_rate"]) == (4, 2, 0.5)
-    assert (summary["first_seed"], summary["split"], summary["both_arms_under"]) == (7, "test", 0.75)
+    assert (summary["first_seed"], summary["split"], summary["both_arms_under"]) == (7, "train", 0.75)
     assert summary["by_task"] == {"lift": {"tests": 2, "successes": 1}, "turn_over": {"tests": 2, "successes": 1}}
     assert summary["by_posture"]["prone_crawl"] == {"tests": 3, "successes": 2}
+    assert summary["gentle"] == 0.25  # scene 7; 9 was rescued roughly, 8 and 10 not at all
     assert summary["failures"] == {"timeout": 2} and summary["mean_steps"] == 80.0
     assert (summary["wilson_low"], summary["wilson_high"]) == wilson(2, 4)
     assert wilson(5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)
@@ -70,6 +72,8 @@ def test_rows_are_read_back_as_they_were(rows: pd.DataFrame, tmp_path: Path) -> 
         ("crawl,prone", "crawl,supine", "posture"),
         ("True", "perhaps", "success"),
         (",40,", ",0,", "steps"),
+        ("600.5", "900.5", "gentle"),
+        ("0.5,4.5", "0.5,-4.5", "peak_acceleration"),
     ],
 )
 def test_rows_that_say_odd_things_are_refused(
@@ -113,8 +117,26 @@ def test_a_run_gets_the_evaluations_of_its_method(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(evaluations, "evaluate", pretend)
     evaluate_run(tmp_path / "random" / "seed0", 8, 4, tell=lambda words: None)
-    assert calls == [("random", 8, 0, "evaluation.json"), ("random", 8, 2_000_000, "heldout.json")]
+    assert calls == [("random", 8, 2_020_000_000, "evaluation.json"), ("random", 8, 2_030_000_000, "heldout.json")]
     assert evaluations_of("hrl_dcs") == list(EVALUATIONS) and len(EVALUATIONS) == 6
+
+
+def test_scenes_are_named_by_split_or_by_seed_and_final_ones_are_called_so() -> None:
+    words: list[str] = []
+    assert first_scene(None, None, words.append) == 2_000_000_000
+    assert first_scene("validation-heldout", None, words.append) == 2_010_000_000
+    assert first_scene(None, 7, words.append) == 7 and first_scene("train", 7, words.append) == 7
+    assert not words
+    assert first_scene(None, 2_020_000_004, words.append) == 2_020_000_004
+    assert first_scene("heldout", None, words.append) == 2_030_000_000
+    assert [word.split(":")[0] for word in words] == ["test", "heldout"] and "final figures" in words[0]
+    for split, seed, message in (
+        ("tset", None, "--split: expected one of train, validation"),
+        ("test", 7, "--first-seed: test has seeds 2020000000 to 2029999999; got 7"),
+        (None, 2_040_000_000, "--first-seed: every split has seeds 0 to 2039999999; got 2040000000"),
+    ):
+        with pytest.raises(UserError, match=message):
+            first_scene(split, seed, words.append)
 
 
 def test_an_unknown_policy_is_answered_with_what_there_is() -> None:

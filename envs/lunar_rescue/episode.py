@@ -14,7 +14,7 @@ from lunar_rescue.physics.simulation import Simulation
 from lunar_rescue.physics.solver import CONTROL_STEP
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import Scene
-from lunar_rescue.tasks import GENTLE_ACCELERATION, GENTLE_FORCE, GENTLE_SPEED, SMALLEST_ERROR, TASK_TYPES, Task
+from lunar_rescue.tasks import SMALLEST_ERROR, TASK_TYPES, Task, is_gentle
 
 Array = NDArray[np.float64]
 
@@ -72,9 +72,7 @@ class Episode:
     @property
     def gentle(self) -> bool:
         """Tell whether so far nothing was done to the astronaut that a person would not stand."""
-        peaks = self.peak_force, self.peak_speed, self.peak_acceleration
-        limits = GENTLE_FORCE, GENTLE_SPEED, GENTLE_ACCELERATION
-        return all(peak <= limit for peak, limit in zip(peaks, limits, strict=True))
+        return is_gentle(self.peak_force, self.peak_speed, self.peak_acceleration)
 
     def targets(self) -> Array:
         """Return P_G, the target areas of arm A and arm B, (2, 3) [m]."""

@@ -30,6 +30,11 @@ LOST_DISTANCE = {1: 0.6, 2: 1.6}
 SMALLEST_ERROR = 1e-3  # keeps distances positive, as Eq. 2's exponent and the reward functions want them
 
 
+def is_gentle(peak_force: float, peak_speed: float, peak_acceleration: float) -> bool:
+    """Tell whether a person would stand these peaks [N, m/s, m/s^2]."""
+    return peak_force <= GENTLE_FORCE and peak_speed <= GENTLE_SPEED and peak_acceleration <= GENTLE_ACCELERATION
+
+
 @dataclass(frozen=True)
 class Contacts:
     """Contacts that decide about success, asked for only when the pose is right."""

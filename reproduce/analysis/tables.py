@@ -55,6 +55,7 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
                 "ours, success [95 % interval]": _listed(_success(run.evaluation) for run in mine)
                 or "no run in results/ yet",
                 "held out": _listed(_success(run.summary("heldout")) for run in mine),
+                "rescued gently": _listed(_percent(run.evaluation["gentle"]) for run in mine if run.evaluation),
                 "tests": _listed(str(run.evaluation["tests"]) for run in mine if run.evaluation),
                 "env steps": _listed(f"{run.env_steps:,}" for run in mine),
                 "minutes": _listed(f"{run.minutes:.0f}" for run in mine),
@@ -202,7 +203,7 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         if summary is None or rows is None:
             continue
         key: dict[str, Any] = {"method": run.method, "seed": run.seed, "evaluation": name}
-        kept = ["first_seed", *COUNTS, "both_arms_under", "mean_return", "mean_steps"]
+        kept = ["first_seed", *COUNTS, "both_arms_under", "gentle", "mean_return", "mean_steps"]
         success.append({**key, "env_steps": run.env_steps, **{k: summary[k] for k in kept}})
         conditions.append(by_condition(rows).reset_index().assign(**key))
         failures += [{**key, "failure": word, "tests": count} for word, count in summary["failures"].items()]

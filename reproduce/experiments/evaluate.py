@@ -80,6 +80,7 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
         "steps": env.episode.steps,
         "return": float(total),
         "nearest_mark": float(env.episode.nearest_mark) if scene.rocks else None,
+        **{name: last[name] for name in ("peak_force", "peak_speed", "peak_acceleration", "gentle")},
     }
 
 

@@ -31,20 +31,22 @@ def scene_seeds(tests: int, first_seed: int) -> range:
     return range(first_seed, first_seed + tests)
 
 
-def first_scene(split: str, first_seed: int | None, tell: Callable[[str], object]) -> int:
-    """Return where to begin, the split's first scene unless told otherwise; splits for final figures are called so.
+def first_scene(split: str | None, first_seed: int | None, tell: Callable[[str], object]) -> int:
+    """Return where to begin, the first scene of ``validation`` unless told otherwise, and call final splits so.
 
     Raises:
         UserError: On a split that does not exist, or a seed that is not in it.
     """
-    if split not in SPLITS:
+    if split is not None and split not in SPLITS:
         raise UserError(f"--split: expected one of {', '.join(SPLITS)}; got {split!r}")
-    seed = SPLITS[split].start if first_seed is None else first_seed
-    if first_seed is not None and first_seed not in SPLITS[split]:
-        seeds = SPLITS[split]
-        raise UserError(f"--first-seed: {split} has seeds {seeds.start} to {seeds.stop - 1}; got {first_seed}")
-    if split in FINAL:
-        tell(f"{split}: for final figures; whatever is still tried is judged on validation scenes")
+    seed = SPLITS[split or "validation"].start if first_seed is None else first_seed
+    seeds = SPLITS[split] if split else range(SPLITS["heldout"].stop)
+    if seed not in seeds:
+        raise UserError(
+            f"--first-seed: {split or 'every split'} has seeds {seeds.start} to {seeds.stop - 1}; got {seed}"
+        )
+    if split_of(seed) in FINAL:
+        tell(f"{split_of(seed)}: for final figures; whatever is still tried is judged on validation scenes")
     return seed
 
 

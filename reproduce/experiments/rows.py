@@ -12,6 +12,7 @@ from typing_extensions import TypedDict
 
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.splits import split_of
+from lunar_rescue.tasks import is_gentle
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import is_stream, write_atomically
 
@@ -34,6 +35,10 @@ SceneRow = TypedDict(
         "steps": PositiveInt,  # control steps until the end
         "return": FiniteFloat,  # sum of the environment's rewards, not discounted
         "nearest_mark": FiniteFloat | None,  # least distance of a joint to a mark point [m]; empty without rocks
+        "peak_force": Annotated[FiniteFloat, Field(ge=0)],  # greatest of an arm on the body [N], mean of a step
+        "peak_speed": Annotated[FiniteFloat, Field(ge=0)],  # greatest of the body [m/s]
+        "peak_acceleration": Annotated[FiniteFloat, Field(ge=0)],  # greatest of the body [m/s^2], mean of a step
+        "gentle": bool,  # whether the peaks are within what a person would stand (``lunar_rescue.tasks``)
     },
 )
 COLUMNS = tuple(SceneRow.__annotations__)
@@ -47,6 +52,8 @@ def _consistent(row: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError(f"failure: expected a word where success is False only, got {row['failure']!r}")
     if (row["rocks"] == 0) != (row["nearest_mark"] is None):
         raise ValueError(f"nearest_mark: expected a number where there are rocks only, got {row['nearest_mark']}")
+    if row["gentle"] != is_gentle(row["peak_force"], row["peak_speed"], row["peak_acceleration"]):
+        raise ValueError(f"gentle: expected what the peaks say, got {row['gentle']}")
     return row
 
 
@@ -128,6 +135,7 @@ def summarise(rows: pd.DataFrame) -> dict[str, Any]:
         "wilson_low": low,
         "wilson_high": high,
         "both_arms_under": float(rows["both_arms_under"].mean()),
+        "gentle": float((rows["success"] & rows["gentle"]).mean()),  # of all tests, those rescued gently
         "by_task": count_by(rows, "task"),
         "by_posture": count_by(rows, "posture"),
         "failures": {str(word): int(count) for word, count in rows["failure"].value_counts().items()},
