@@ -11,6 +11,7 @@ import pytest
 
 from lunar_rescue import ENVIRONMENT_VERSION, LunarRescueEnv
 from lunar_rescue.scenes.postures import all_postures, postures
+from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import as_table, summarise, write_rows
 from reproduce.storage.files import write_json
@@ -65,7 +66,7 @@ def run_folder() -> RunFolder:
             training = {**told, "method": method, "seed": seed, "steps": 5_000_000, "seconds": 120.0}
             write_json(folder / "run.json", training | (origin or {}))
         if outcomes is not None:
-            rows = scene_rows(outcomes, **columns)
+            rows = scene_rows(outcomes, **{"first_seed": EVALUATIONS[name].first_seed, **columns})
             write_rows(folder / f"{name}.csv", rows)
             tested = {"method": method, **summarise(rows), "seconds": 1.0, "seconds_per_test": 0.1, "origin": told}
             write_json(folder / f"{name}.json", tested | (summary or {}))

@@ -49,7 +49,7 @@ def test_dropped_astronaut_falls_with_lunar_gravity(simulation: Simulation, mass
     body = _suit(simulation, "supine_straight", mass, 10.0)
     steps = 100
     simulation.advance(steps)
-    substep = simulation.settings.substep
+    substep = simulation.pace.substep
     time = steps * substep
     velocity, _ = simulation.velocity(body)
     fallen = 10.0 - simulation.pose(body)[0][2]
@@ -288,7 +288,7 @@ def test_contact_forces_are_those_that_move_the_body(env: LunarRescueEnv) -> Non
         others += [] if simulation.relief is None else [simulation.relief]
         forces = [f for other in others for *_, f in simulation.contact_forces(handle, other)]
         touched += bool(simulation.contact_forces(handle, env.robot.handle))
-        moved = scene.mass * (after - before) / simulation.settings.substep
+        moved = scene.mass * (after - before) / simulation.pace.substep
         assert moved == pytest.approx(np.sum(forces, axis=0) + weight, abs=0.01)  # N
         observation, _, terminated, truncated, _ = env.step_flat(policy.act(observation[None], start)[0])
         start, done = np.array([False]), terminated or truncated

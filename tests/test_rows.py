@@ -24,7 +24,8 @@ def _row(seed: int, **changes: Any) -> dict[str, Any]:
     return {
         "seed": seed, "task": "lift", "posture": "prone_crawl", "attitude": "prone", "mass": 200.5, "rocks": 0,
         "terrain": "rough", "success": True, "failure": None, "both_arms_under": True, "steps": 40, "return": 0.1 + 0.2,
-        "nearest_mark": None, "peak_force": 600.5, "peak_speed": 0.5, "peak_acceleration": 4.5, "gentle": True, **changes,
+        "nearest_mark": None,
+        "peak_force": 600.5, "peak_speed": 0.5, "peak_acceleration": 4.5, "gentle": True, **changes,
     }  # fmt: skip
 
 

@@ -37,7 +37,7 @@ def run(run_folder: RunFolder, tmp_path: Path) -> Path:
 
 
 def test_a_run_is_read_with_its_evaluations(run: Path, run_folder: RunFolder, tmp_path: Path) -> None:
-    run_folder(tmp_path, "sac", outcomes=[False], name="heldout", first_seed=2_000_000)
+    run_folder(tmp_path, "sac", outcomes=[False], name="heldout")
     (found,) = reference_runs(tmp_path)
     rows, held = found.rows(), found.summary("heldout")
     assert rows is not None and held is not None and found.evaluation is not None
@@ -53,7 +53,7 @@ def test_a_run_is_read_with_its_evaluations(run: Path, run_folder: RunFolder, tm
         ({"ablation": "untrained_lln"}, "ablation: expected none, got 'untrained_lln'"),
         ({"scenes": "easy"}, "scenes: expected none, got 'easy'"),
         ({"split": "heldout"}, "split: expected test, got 'heldout'"),
-        ({"origin": {"command": "", "environment_version": "0.9"}}, "environment_version: expected 1.0, got '0.9'"),
+        ({"origin": {"command": "", "environment_version": "0.9"}}, "environment_version: expected 2.0, got '0.9'"),
         ({"origin": {}}, "origin: command: Field required"),
         ({"successes": 3}, "successes: expected 2, as evaluation.csv has it, got 3"),
         ({"success_rate": float("nan")}, "success_rate"),
@@ -91,7 +91,7 @@ def test_what_is_no_description_is_refused(name: str, content: str, run: Path, t
     [
         ({"seed": 3}, "seed: expected 0, got 3"),
         ({"method": "fun"}, "method"),
-        ({"environment_version": "2.0"}, "version"),
+        ({"environment_version": "1.0"}, "environment_version: expected 2.0, got '1.0'"),
         ({"steps": -1}, "steps"),
         ({"steps": True}, "steps"),
         ({"seconds": float("inf")}, "seconds"),

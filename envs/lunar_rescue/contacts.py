@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from lunar_rescue.episode import Episode
 from lunar_rescue.physics.robot import Robot
 from lunar_rescue.physics.simulation import LUNAR_GRAVITY, Simulation
+from lunar_rescue.physics.solver import CONTROL_STEP
 from lunar_rescue.tasks import SMALLEST_ERROR, TARGET_RADIUS, Contacts
 
 Array = NDArray[np.float64]
@@ -60,20 +61,22 @@ def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -
 def hold(simulation: Simulation, robot: Robot, episode: Episode) -> Array:
     """Let a control step pass and return the force of each arm on the astronaut, its mean over the step, (2, 3) [N].
 
-    Contacts are read up to ten times, which also says where the solver has to be fine. Means, as a stiff contact's
-    peaks tell of the solver and not of the rescue.
+    Contacts are read after each substep, near ones too, which says from where on the solver has to be fine. Means, as a
+    stiff contact's peaks tell of the solver and not of the rescue.
     """
-    handle, forces = episode.astronaut.handle, np.zeros((2, 3))
-    samples, substeps = simulation.settings.samples, simulation.settings.substeps_per_sample
-    for _ in range(samples):
-        simulation.advance(substeps)
+    handle, impulses, left = episode.astronaut.handle, [[0.0] * 3, [0.0] * 3], CONTROL_STEP
+    while left > 1e-9:
+        simulation.advance(1)
+        left -= simulation.pace.substep
         rows = simulation.contact_forces(handle, robot.handle)
-        simulation.solve_finely(bool(rows))
         for _, link, force in rows:
-            for arm, links in enumerate(robot.arm_links):
+            for impulse, links in zip(impulses, robot.arm_links, strict=True):
                 if link in links:
-                    forces[arm] += force
-    return forces / samples
+                    impulse[:] = [a + simulation.pace.substep * b for a, b in zip(impulse, force, strict=True)]
+        # Back to coarse substeps with the next control step only, which holds a whole number of them.
+        if rows or left < 1e-9:
+            simulation.solve_finely(bool(rows))
+    return np.array(impulses) / CONTROL_STEP
 
 
 def body_contacts(simulation: Simulation, episode: Episode) -> Contacts:

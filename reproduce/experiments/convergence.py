@@ -30,13 +30,15 @@ from reproduce.storage.provenance import record_origin
 
 FOLDER = COMMITTED / "convergence"
 PLANS = "plans"
-#: Plans are made under this setting, which is none of those compared, so that no setting has plans chosen for it.
-PLANNED_WITH = SolverSettings(substep=0.005, iterations=75, free_iterations=75)
 DEEP = 0.010  # m, an overlap of arm and body that a suit's padding would not hide
 
 
 def _uniform(substep: float, iterations: int) -> SolverSettings:
-    return SolverSettings(substep=substep, iterations=iterations, free_iterations=iterations)
+    return SolverSettings(substep, iterations, substep, iterations)
+
+
+#: Plans are made under this setting, which is none of those compared, so that no setting has plans chosen for it.
+PLANNED_WITH = _uniform(0.005, 75)
 
 
 #: From coarse to fine; the last one is what the others are compared with.
@@ -45,6 +47,7 @@ GRID = (
     _uniform(0.02, 100),
     _uniform(0.01, 20),
     SETTINGS,
+    _uniform(0.01, 30),
     _uniform(0.01, 100),
     _uniform(0.005, 50),
     _uniform(0.005, 100),
@@ -57,10 +60,9 @@ _STATE: dict[str, Any] = {}
 
 
 def label(settings: SolverSettings) -> str:
-    """Return a setting in short, such as ``"10 ms, 20/50"``: substep, iterations without and with contact."""
-    adaptive = settings.free_iterations != settings.iterations
-    iterations = f"{settings.free_iterations}/{settings.iterations}" if adaptive else f"{settings.iterations}"
-    return f"{1000 * settings.substep:g} ms, {iterations}"
+    """Return a setting in short, such as ``"20 ms x 20, 10 ms x 50"``: free of the astronaut, and at it, if other."""
+    paces = dict.fromkeys((settings.free, settings.fine))
+    return ", ".join(f"{1000 * pace.substep:g} ms x {pace.iterations}" for pace in paces)
 
 
 def _prepare(actors: Sequence[str]) -> None:

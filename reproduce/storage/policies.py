@@ -13,6 +13,7 @@ import torch as th
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.records import checked
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_atomically, write_json
@@ -49,7 +50,8 @@ def save_policy(folder: Path, method: str, networks: Mapping[str, tuple[Spec, th
     }
     write_atomically(folder / "policy.safetensors", lambda path: save_file(tensors, path))
     specs = {level: to_dict(spec) for level, (spec, _) in networks.items()}
-    write_json(folder / "policy.json", {"format": FORMAT, "method": method, "networks": specs, **to_dict(config)})
+    head = {"format": FORMAT, "environment_version": ENVIRONMENT_VERSION, "method": method}
+    write_json(folder / "policy.json", {**head, "networks": specs, **to_dict(config)})
 
 
 def read_policy_json(folder: Path) -> dict[str, Any]:
@@ -63,12 +65,20 @@ def read_policy_json(folder: Path) -> dict[str, Any]:
     for name, kind, words in (("method", str, "a string"), ("networks", dict, "an object")):
         if not isinstance(raw.get(name), kind):
             raise UserError(f"{path}: {name}: expected {words}, got {reprlib.repr(raw.get(name))}")
+    if (version := raw.get("environment_version", "1.0")) != ENVIRONMENT_VERSION:
+        raise UserError(
+            f"{path}: environment_version: expected {ENVIRONMENT_VERSION}, got {version!r:.20}; train it anew"
+        )
     return raw
 
 
 def load_policy_config(folder: Path, kind: type[Record]) -> Record:
     """Read what ``policy.json`` holds besides networks; ``UserError`` names a field that is missing or wrong."""
-    raw = {k: v for k, v in read_policy_json(folder).items() if k not in ("format", "method", "networks")}
+    raw = {
+        k: v
+        for k, v in read_policy_json(folder).items()
+        if k not in ("format", "environment_version", "method", "networks")
+    }
     return _record(kind, raw, f"{folder / 'policy.json'}: ")
 
 

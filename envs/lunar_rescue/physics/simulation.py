@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from lunar_rescue.physics.bodies import Bodies, RigidBody
 from lunar_rescue.physics.client import ROBOT_FILE, pb
-from lunar_rescue.physics.solver import SETTINGS, SolverSettings
+from lunar_rescue.physics.solver import SETTINGS, Pace, SolverSettings
 
 Array = NDArray[np.float64]
+Vector = tuple[float, ...]
 
 LUNAR_GRAVITY = 1.62  # m/s^2
 # Collision detections that look at every pair of the robot's (some 26) at least once; a third of a millisecond.
@@ -40,10 +41,9 @@ class Simulation(Bodies):
         """Empty the world and load the ground again; every other body is gone."""
         self._client.resetSimulation()
         self.set_up_vector(np.array([0.0, 0.0, 1.0]))
-        self._iterations = self.settings.free_iterations
-        self._client.setPhysicsEngineParameter(
-            fixedTimeStep=self.settings.substep, numSolverIterations=self._iterations, deterministicOverlappingPairs=1
-        )
+        self._client.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
+        self._motors: tuple[int, list[int], list[float], list[float]] | None = None
+        self._set_pace(self.settings.free)
         self._begin()
 
     @property
@@ -121,13 +121,15 @@ class Simulation(Bodies):
     # -- moving and reading ----------------------------------------------------------------------------------------
     def drive(self, body: int, joints: list[int], targets: list[float], torques: list[float]) -> None:
         """Set position targets of motors [rad] with torque limits [N m]."""
-        gains = [self.settings.position_gain] * len(joints)
+        self._motors = body, joints, targets, torques
+        gains = [self.pace.position_gain] * len(joints)
         self._set_motors(
             body, joints, pb.POSITION_CONTROL, targetPositions=targets, forces=torques, positionGains=gains
         )
 
     def release(self, body: int, joints: list[int]) -> None:
         """Switch the motors of these joints off."""
+        self._motors = None
         self._client.setJointMotorControlArray(
             body,
             joints,
@@ -143,14 +145,19 @@ class Simulation(Bodies):
 
     def advance_by(self, seconds: float) -> None:
         """Let time pass [s], in whole substeps."""
-        self.advance(round(seconds / self.settings.substep))
+        self.advance(round(seconds / self.pace.substep))
 
     def solve_finely(self, fine: bool) -> None:
-        """Choose between the iterations for arms that touch the astronaut and those for arms that do not."""
-        iterations = self.settings.iterations if fine else self.settings.free_iterations
-        if iterations != self._iterations:
-            self._client.setPhysicsEngineParameter(numSolverIterations=iterations)
-            self._iterations = iterations
+        """Choose how time passes from now on: as for an arm at the astronaut, or as for none."""
+        pace = self.settings.fine if fine else self.settings.free
+        if pace != self.pace:
+            self._set_pace(pace)
+            if self._motors:  # their gains are those of a substep
+                self.drive(*self._motors)
+
+    def _set_pace(self, pace: Pace) -> None:
+        self.pace = pace
+        self._client.setPhysicsEngineParameter(fixedTimeStep=pace.substep, numSolverIterations=pace.iterations)
 
     def joint_states(self, body: int, joints: list[int]) -> tuple[Array, Array, Array]:
         """Read angles [rad], speeds [rad/s] and motor torques [N m], (n,) each."""
@@ -187,21 +194,25 @@ class Simulation(Bodies):
         """Tell whether a body is in contact with plane or mounds after the last substep."""
         return self.touching(body, self.ground) or (self.relief is not None and self.touching(body, self.relief))
 
-    def contact_forces(self, first: int, second: int) -> list[tuple[int, int, Array]]:
-        """Return rows (link of first, link of second, force on first (3,) [N]) of the last substep."""
-        rows: list[tuple[int, int, Array]] = []
+    def contact_forces(self, first: int, second: int) -> list[tuple[int, int, Vector]]:
+        """Return rows (link of first, link of second, force on first (3,) [N]) of the last substep.
+
+        Also of surfaces that have come within some 2 cm of each other, with a force of nothing.
+        """
+        rows: list[tuple[int, int, Vector]] = []
         if not self._contact_points(first, second):
             return rows
         # All contacts, as what PyBullet filters by body it turns about, but for the directions of friction.
         for row in self._contact_points():
-            if (row[1], row[2]) == (first, second):
+            if row[1] == first and row[2] == second:
                 sign, own, other = 1.0, row[3], row[4]
-            elif (row[1], row[2]) == (second, first):
+            elif row[1] == second and row[2] == first:
                 sign, own, other = -1.0, row[4], row[3]
             else:
                 continue
-            force = row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13])
-            rows.append((int(own), int(other), sign * force))
+            # Plain numbers, as this is read after each substep: normal force, then friction along two directions.
+            n, f, g = sign * row[9], sign * row[10], sign * row[12]
+            rows.append((own, other, tuple(n * a + f * b + g * c for a, b, c in zip(row[7], row[11], row[13]))))
         return rows
 
     def overlaps(self, first: int, second: int) -> list[float]:
