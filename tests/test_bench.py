@@ -94,6 +94,10 @@ def test_tests_are_timed_where_there_is_a_reference_policy(monkeypatch: pytest.M
         return {"seconds": tests / 10}
 
     monkeypatch.setattr(bench, "evaluate", evaluate)
+    monkeypatch.setattr(bench, "COMMITTED", tmp_path / "committed")
+    run = tmp_path / "committed" / "reference" / "hrl_dcs" / "seed0"
+    run.mkdir(parents=True)
+    (run / "policy.json").touch()
     assert bench.measure_tests(1, 1) == {"tests_1000_s": 100.0}
     monkeypatch.setattr(bench, "COMMITTED", tmp_path)
     assert bench.measure_tests(1, 1) == {}

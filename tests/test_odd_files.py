@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 import torch as th
 from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
 from safetensors.torch import load_file, save_file
+from untrained import untrained_policy  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.experiments.methods import METHODS, load_policy
 from reproduce.experiments.presets import PRESETS
@@ -35,6 +35,8 @@ ODD: list[tuple[str, str, str]] = [
     ("format", "true", "format 1"),
     ("format", "2", "format 1"),
     ("format", "[1]", "format 1"),
+    ("environment_version", '"1.0"', "environment_version: expected 2.0, got '1.0'; train it anew"),
+    ("environment_version", "null", "environment_version: expected 2.0, got None"),
     ("method", "null", "method: expected a string"),
     ("method", "[]", "method: expected a string"),
     ("method", '"magic"', "method: expected one of"),
@@ -81,12 +83,8 @@ ODD: list[tuple[str, str, str]] = [
 
 
 def policy(folder: Path, method: str = "hrl_dcs") -> Path:
-    """Copy the reference policy of a method."""
-    run = folder / method
-    run.mkdir()
-    for name in ("policy.json", "policy.safetensors"):
-        shutil.copyfile(REFERENCE / method / "seed0" / name, run / name)
-    return run
+    """Make an untrained policy of a method."""
+    return untrained_policy(method, folder / method)
 
 
 def with_text(path: Path, where: str, text: str) -> None:
@@ -242,13 +240,9 @@ def test_the_reference_runs_say_how_they_were_trained_and_how_they_act(name: str
     folder, method = REFERENCE / name / "seed0", METHODS[name]
     described = json.loads((folder / "config.json").read_text())
     config: Any = from_dict(method.kind, described["training"], "training.")
-    assert config.steps == 5_000_000 and config.reward.rescued == 4.0
+    assert to_dict(config) == described["training"] and described["environment_version"] == "2.0"
     acts = json.loads((folder / "policy.json").read_text())
     assert {key: acts[key] for key in to_dict(config.policy)} == to_dict(config.policy)
-    if name.startswith("hrl_dcs"):
-        assert (config.anchors.stride, config.anchors.lowered) == (0.3, 0.0)
-        assert (acts["anchors"]["stride"], acts["anchors"]["lowered"], acts["interval"]) == (0.25, 0.1, 5)
-        assert acts["anchors"]["damping"] == 0.05 and acts["anchors"]["lift_face_down"]["further"] == 0.15
 
 
 def test_what_a_preset_says_is_a_field_of_some_method() -> None:

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from untrained import untrained_policy  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.storage.paths import ROOT
 
 PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
-SHIPPED = ROOT / "results" / "reference" / "hrl_dcs" / "seed0"
 
 
 def run(command: list[str], folder: Path, **environment: str) -> str:
@@ -75,7 +75,7 @@ def test_an_installed_wheel_works_in_an_empty_folder(installed: Path, tmp_path: 
 
     before = sorted(installed.iterdir())
     assert "evaluate" in reproduce("--help")
-    shutil.copytree(SHIPPED, tmp_path / "shipped policy")
+    untrained_policy("hrl_dcs", tmp_path / "shipped policy")
     assert re.search(r"hrl_dcs: \d of 4 rescued", reproduce("evaluate", "shipped policy", "--tests", "4"))
     (tmp_path / "notebooks").mkdir()
     shutil.copy(ROOT / "notebooks" / "02_reward_design.ipynb", tmp_path / "notebooks")

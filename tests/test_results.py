@@ -76,7 +76,7 @@ def test_paired_differences_are_those_of_the_same_scenes(run_folder: RunFolder, 
 def test_attitudes_are_sums_over_their_postures(run_folder: RunFolder, tmp_path: Path) -> None:
     told = {  # tests and successes
         ("left_side_stride", "turn_over"): (4, 4),
-        ("right_side_curled", "turn_over"): (6, 1),
+        ("right_side_arms_bent", "turn_over"): (6, 1),
         ("prone_crawl", "turn_over"): (5, 3),
         ("prone_crawl", "lift"): (5, 0),
     }

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from images import mirrored  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from lunar_rescue.observation import BOUND
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.scenes.postures import DATA_FILE, Posture, all_postures, load_postures, postures
+from lunar_rescue.scenes.postures import DATA_FILE, all_postures, load_postures, postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS, ROCK_EXPONENT, ROCK_SIZE_RANGE, Rock, rock_marks
 from lunar_rescue.scenes.scene import (
     BASE_RANGE,
@@ -226,14 +227,6 @@ def test_heldout_scenes_have_what_no_training_scene_has() -> None:
         assert there and elsewhere and not there & elsewhere
 
 
-def _mirrored(posture: Posture) -> tuple[str, Limbs]:
-    """Return attitude and limbs of a posture's mirror image."""
-    swap = {"left": "right", "right": "left"}
-    limbs = {f"{swap[(w := k.split('_', 1))[0]]}_{w[1]}": v for k, v in dataclasses.asdict(posture.limbs).items()}
-    side, _, rest = posture.attitude.partition("_")
-    return (f"{swap[side]}_{rest}" if rest else posture.attitude), Limbs(**limbs)
-
-
 def _apart(a: Limbs, b: Limbs) -> tuple[int, float]:
     """Return how many joints are 15 degrees apart, and the mean distance of key points [cm]."""
     angles = np.abs(np.subtract(dataclasses.astuple(a), dataclasses.astuple(b)))
@@ -248,7 +241,7 @@ def test_postures_are_not_each_others_mirror_images_and_held_out_ones_are_far_fr
         for other in known.values():
             if other is posture:
                 continue
-            for attitude, limbs in ((other.attitude, other.limbs), _mirrored(other)):
+            for attitude, limbs in ((other.attitude, other.limbs), mirrored(other)):
                 if attitude == posture.attitude:
                     joints, centimetres = _apart(posture.limbs, limbs)
                     least = 4.0 if split == "train" else 8.0

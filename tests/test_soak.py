@@ -25,7 +25,7 @@ from lunar_rescue.scenes.scene import task_distribution
 from lunar_rescue.scenes.splits import TRAIN
 from lunar_rescue.scenes.terrain import KINDS
 
-FIRST_SEED = 3_000_000  # of the scenes; the training split, where nothing is tested
+FIRST_SEED = 1_000_000_000  # of the scenes; the training split, where nothing is tested
 STEPS = 150_000  # of the long run
 LONGEST_HOLD = 40  # steps for which an action may be held
 LARGEST_GROWTH = 0.01  # of memory over the last half of the long run

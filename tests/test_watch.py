@@ -26,7 +26,7 @@ def test_the_live_view_follows_an_episode_and_changes_the_scene() -> None:
     env = LunarRescueEnv()
     with viser_server() as server:
         live = LiveView(server)
-        env.reset(options={"scene": sample_scene(3_000_000)})
+        env.reset(options={"scene": sample_scene(1_000)})
         live.show(env.episode)
         assert live._actors is not None
         suit, arm = live._actors._suit, live._actors._ends[0]
@@ -38,7 +38,7 @@ def test_the_live_view_follows_an_episode_and_changes_the_scene() -> None:
         assert time.monotonic() - begun > 0.25, "real time: a step takes 0.1 s"
         assert "nearly there" in live._actors._words.text
         assert arm.position == pytest.approx(env.episode.robot.ends[0]) and arm.position != pytest.approx(before)
-        env.reset(options={"scene": sample_scene(3_000_001)})
+        env.reset(options={"scene": sample_scene(1_001)})
         live.show(env.episode)
         assert live._actors._suit is not suit
         live.close()

@@ -244,7 +244,7 @@ TERMS = (
         "-1",
         ("failure",),
         True,
-        "once, when an episode fails before its time (not in the paper)",
+        "once, when an episode fails before its time is up (not in the paper)",
         lambda s, w: -w.failure if s.failed else 0.0,
     ),
 )

@@ -6,6 +6,7 @@ A page's template in ``templates/`` has a block for each of the page's, under th
 import re
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,11 +83,22 @@ def _environment() -> dict[str, Any]:
         "heldout_postures": {name: postures(name) for name in HELD_OUT},
         "splits": SPLITS,
         "solver": SETTINGS,
+        "convergence": _convergence(),
         "solvable": _result("solvability/summary.json"),
         "bench": _result("bench.json"),
         **{"tasks": tasks, "robot": robot, "simulation": simulation},
         **{"rocks": rocks, "scene": scene, "terrain": terrain},
     }
+
+
+def _convergence() -> pd.DataFrame | None:
+    """Return the summary of the convergence study, its run folder named by its method, or None where there is none."""
+    path = RESULTS / "convergence" / "summary.csv"
+    if not path.is_file():
+        return None
+    table = pd.read_csv(path)
+    named = table["actor"].map(lambda actor: Path(actor).parent.name or actor)
+    return table.assign(actor=named)
 
 
 #: Page and what computes the data of its template.

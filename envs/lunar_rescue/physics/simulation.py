@@ -212,7 +212,9 @@ class Simulation(Bodies):
                 continue
             # Plain numbers, as this is read after each substep: normal force, then friction along two directions.
             n, f, g = sign * row[9], sign * row[10], sign * row[12]
-            rows.append((own, other, tuple(n * a + f * b + g * c for a, b, c in zip(row[7], row[11], row[13]))))
+            rows.append(
+                (own, other, tuple(n * a + f * b + g * c for a, b, c in zip(row[7], row[11], row[13], strict=True)))
+            )
         return rows
 
     def overlaps(self, first: int, second: int) -> list[float]:

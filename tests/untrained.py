@@ -1,0 +1,28 @@
+"""Policies of every method as a training begins with them, for tests that ask what is read and not what was learnt."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from reproduce.experiments.methods import METHODS, export_policy
+
+
+@cache
+def _exported(method: str) -> Path:
+    chosen, folder = METHODS[method], Path(tempfile.mkdtemp(prefix="untrained-"))
+    assert chosen.train is not None
+    training = chosen.train(chosen.config("smoke"), 0)
+    export_policy(folder, chosen, training)
+    training.close()
+    return folder
+
+
+def untrained_policy(method: str, run: Path) -> Path:
+    """Make a run folder with the untrained policy of a method and return it."""
+    run.mkdir()
+    for name in ("policy.json", "policy.safetensors"):
+        shutil.copyfile(_exported(method) / name, run / name)
+    return run
