@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 from lunar_rescue.scenes.postures import Posture, Rest
 from lunar_rescue.scenes.suit import Limbs
@@ -20,5 +21,5 @@ def image(posture: Posture) -> Posture:
     """Return the mirror image of a posture, at rest as it rests, in the plane of its head and the vertical."""
     attitude, limbs = mirrored(posture)
     x, y, z, w = posture.rest.quaternion
-    rest = Rest(posture.rest.height, (-x, y, -z, w))
-    return dataclasses.replace(posture, name=f"{posture.name}_image", attitude=attitude, limbs=limbs, rest=rest)
+    changes: dict[str, Any] = {"attitude": attitude, "limbs": limbs, "rest": Rest(posture.rest.height, (-x, y, -z, w))}
+    return dataclasses.replace(posture, name=f"{posture.name}_image", **changes)

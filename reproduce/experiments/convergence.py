@@ -43,15 +43,13 @@ PLANNED_WITH = _uniform(0.005, 75)
 
 #: From coarse to fine; the last one is what the others are compared with.
 GRID = (
+    _uniform(0.02, 10),
     _uniform(0.02, 20),
-    _uniform(0.02, 100),
     _uniform(0.01, 20),
     SETTINGS,
-    _uniform(0.01, 30),
-    _uniform(0.01, 100),
+    _uniform(0.01, 50),
     _uniform(0.005, 50),
     _uniform(0.005, 100),
-    _uniform(0.0025, 100),
     _uniform(0.0025, 200),
 )
 
@@ -156,16 +154,8 @@ def measure_convergence(
 ) -> pd.DataFrame:
     """Run every actor on the same scenes under each setting of ``GRID``; write ``scenes.csv`` and ``summary.csv``.
 
-    Args:
-        actors: Run folders, methods that do not learn, and ``"plans"``.
-        tests: Number of scenes.
-        first_seed: Seed of the first one.
-        folder: Where the files go.
-        tell: Called with the summary as text.
-        quiet: Whether to leave the progress bar out.
-
-    Returns:
-        The summary, a row an actor and setting.
+    ``actors`` are run folders, methods that do not learn, and ``"plans"``; there are ``tests`` scenes from
+    ``first_seed`` on. Returns the summary, a row an actor and setting, and calls ``tell`` with it as text.
 
     Raises:
         UserError: On numbers out of range, an actor that does not load, or a place that cannot be written.
@@ -181,10 +171,10 @@ def measure_convergence(
         job = partial(_test, actors=tuple(actors))
         nested = map_scenes(job, seeds, _prepare, (tuple(actors),), title="convergence", quiet=quiet)
         rows = pd.DataFrame([row for scene in nested for row in scene])
-        found = summarise_convergence(rows)
+        summaries = summarise_convergence(rows)
         write_atomically(table, lambda path: rows.round(6).to_csv(path, index=False))
-        write_atomically(summary, lambda path: found.round(4).to_csv(path, index=False))
+        write_atomically(summary, lambda path: summaries.round(4).to_csv(path, index=False))
         for path in (table, summary):
             record_origin(path)
-    tell(found.round(3).to_string(index=False))
-    return found
+    tell(summaries.round(3).to_string(index=False))
+    return summaries
