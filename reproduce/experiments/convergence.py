@@ -63,9 +63,9 @@ def label(settings: SolverSettings) -> str:
     return ", ".join(f"{1000 * pace.substep:g} ms x {pace.iterations}" for pace in paces)
 
 
-def _prepare(actors: Sequence[str]) -> None:
+def _prepare(actors: Sequence[str], grid: Sequence[SolverSettings]) -> None:
     th.set_num_threads(1)
-    _STATE["environments"] = {label(settings): LunarRescueEnv(solver=settings) for settings in GRID}
+    _STATE["environments"] = {label(settings): LunarRescueEnv(solver=settings) for settings in grid}
     _STATE["policies"] = {actor: find_policy(actor)[1] for actor in actors if actor != PLANS}
     _STATE["planner"] = RescuePlanner(solver=PLANNED_WITH) if PLANS in actors else None
 
@@ -86,7 +86,7 @@ def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[
     """Act one scene out and return how it ended, overlaps of arm and body, and what a step took."""
     observation, _ = env.reset_flat(options={"scene": scene})
     info: dict[str, Any] = {}
-    start, overlaps, seconds, balance, done = np.array([True]), [], 0.0, None, False
+    start, overlaps, seconds, balance, done = np.array([True]), [], 0.0, np.nan, False
     replayed: Iterator[Actions] = iter(plan)
     while not done:
         action = next(replayed, None) if policy is None else policy.act(observation[None], start)[0]
@@ -110,19 +110,19 @@ def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[
         "contact_steps": len(overlaps),
         "deep_steps": sum(depth > DEEP for depth in overlaps),
         "deepest": max(overlaps, default=0.0),
-        "balance": balance if scene.task == "lift" and info.get("is_success") else None,
+        "balance": balance if scene.task == "lift" and info.get("is_success") else np.nan,
         "peak_force": env.episode.peak_force,
         "step_us": 1e6 * seconds / max(1, env.episode.steps),
     }
 
 
-def summarise_convergence(rows: pd.DataFrame) -> pd.DataFrame:
+def summarise_convergence(rows: pd.DataFrame, finest: str = label(GRID[-1])) -> pd.DataFrame:
     """Return a row an actor and setting: success, lost and gained against the finest, overlaps, balance, cost."""
-    finest = rows[rows["setting"] == label(GRID[-1])].set_index(["actor", "seed"])["success"]
+    best = rows[rows["setting"] == finest].set_index(["actor", "seed"])["success"]
     table = []
     for (actor, setting), group in rows.groupby(["actor", "setting"], sort=False):
         success = group.set_index("seed")["success"]
-        reference = finest.xs(actor).reindex(success.index)
+        reference = best.xs(actor).reindex(success.index)
         lifts = group["task"] == "lift"
         table.append(
             {
@@ -148,11 +148,12 @@ def measure_convergence(
     tests: int,
     first_seed: int,
     *,
+    grid: Sequence[SolverSettings] = GRID,
     folder: Path = FOLDER,
     tell: Callable[[str], object] = print,
     quiet: bool = False,
 ) -> pd.DataFrame:
-    """Run every actor on the same scenes under each setting of ``GRID``; write ``scenes.csv`` and ``summary.csv``.
+    """Run every actor on the same scenes under each setting of ``grid``; write ``scenes.csv`` and ``summary.csv``.
 
     ``actors`` are run folders, methods that do not learn, and ``"plans"``; there are ``tests`` scenes from
     ``first_seed`` on. Returns the summary, a row an actor and setting, and calls ``tell`` with it as text.
@@ -169,9 +170,9 @@ def measure_convergence(
         check_writable(path)
     with locked(folder, "convergence study"):
         job = partial(_test, actors=tuple(actors))
-        nested = map_scenes(job, seeds, _prepare, (tuple(actors),), title="convergence", quiet=quiet)
+        nested = map_scenes(job, seeds, _prepare, (tuple(actors), tuple(grid)), title="convergence", quiet=quiet)
         rows = pd.DataFrame([row for scene in nested for row in scene])
-        summaries = summarise_convergence(rows)
+        summaries = summarise_convergence(rows, label(grid[-1]))
         write_atomically(table, lambda path: rows.round(6).to_csv(path, index=False))
         write_atomically(summary, lambda path: summaries.round(4).to_csv(path, index=False))
         for path in (table, summary):
