@@ -49,50 +49,30 @@ CLAIMS = Path(__file__).with_suffix(".yaml")  # what the paper claims, and the r
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim with its verdict.
+    """One claim of the paper with its verdict."""
 
-    Attributes:
-        id: C1 to C8.
-        statement: What the paper claims.
-        paper: Its figure.
-        measured: Ours, or None: a share of tests; C2 a ratio of environment steps, C6 seconds a test.
-        low: Lower end of the interval of ``measured``.
-        high: Upper end.
-        seeds: Training seeds behind it.
-        tests: Tests behind it, over all seeds.
-        env_steps: Environment steps a training.
-        verdict: See the module.
-        evidence: Where it comes from, in words with figures.
-    """
-
-    id: str
-    statement: str
-    paper: str
-    measured: float | None = None
-    low: float | None = None
+    id: str  # C1 to C8
+    statement: str  # what the paper claims
+    paper: str  # its figure
+    measured: float | None = None  # ours: a share of tests; C2 a ratio of environment steps, C6 seconds a test
+    low: float | None = None  # ends of the interval of ``measured``
     high: float | None = None
-    seeds: int = 0
-    tests: int = 0
-    env_steps: int = 0
-    verdict: str = "inconclusive"
-    evidence: str = ""
+    seeds: int = 0  # training seeds behind it
+    tests: int = 0  # over all seeds
+    env_steps: int = 0  # of the shortest training
+    verdict: str = "inconclusive"  # see the module
+    evidence: str = ""  # where it comes from, in words with figures
 
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that a claim says.
+    """One thing that a claim says."""
 
-    Attributes:
-        words: What was found, with figures.
-        holds: Whether it is so; None where the rule leaves it open.
-        figures: The claim's ``measured``, ``low`` and ``high``; without them it is the success of its first method.
-        one_training: Whether enough tests of one training decide it.
-    """
-
-    words: str
-    holds: bool | None
-    figures: dict[str, Any] = field(default_factory=dict)
-    one_training: bool = False
+    words: str  # what the runs show, with figures
+    holds: bool | None  # None where the rule leaves it open
+    figures: dict[str, Any] = field(default_factory=dict)  # ``measured``, ``low`` and ``high`` of the claim, if not
+    # the success of its first method
+    one_training: bool = False  # whether enough tests of one training decide it
 
 
 def succeeds_more(first: Pool, second: Pool) -> Part:
@@ -150,8 +130,8 @@ def _above(high: Sequence[float | None], low: Sequence[float | None]) -> bool | 
 
 
 def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
-    told = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
-    return f"{pool.method} {told or 'no curve'}"
+    numbers = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
+    return f"{pool.method} {numbers or 'no curve'}"
 
 
 def converges_in_a_share(first: Pool, second: Pool) -> Part:
@@ -176,21 +156,13 @@ def serves_every_posture(pool: Pool) -> Part:
     name = min(counts.index, key=lambda posture: (counts["mean"][posture], posture))
     rate, (low, high) = float(counts["mean"][name]), wilson(int(counts["sum"][name]), int(counts["size"][name]))
     served = low >= SERVED and set(counts.index) == set(postures())
-    words, figures = (
-        f"weakest posture {name}: {percent(rate, (low, high))}",
-        {"measured": rate, "low": low, "high": high},
-    )
+    words, figures = f"weakest posture {name}: {percent(rate, (low, high))}", dict(measured=rate, low=low, high=high)
     return Part(words, _lies(above=served, below=high < SERVED), figures)
 
 
 #: What ``claims.yaml`` may name.
-RULES: dict[str, Callable[..., Part]] = {
-    rule.__name__: rule
-    for rule in (
-        succeeds_more, unsolved, reaches, returns_more, converges_faster, converges_in_a_share, takes_at_most,
-        serves_every_posture,
-    )
-}  # fmt: skip
+_RULES = (succeeds_more, unsolved, reaches, returns_more, converges_faster, converges_in_a_share, takes_at_most)
+RULES: dict[str, Callable[..., Part]] = {rule.__name__: rule for rule in (*_RULES, serves_every_posture)}
 
 
 def _enough(pool: Pool, one_training: bool) -> bool:

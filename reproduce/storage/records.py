@@ -3,11 +3,14 @@
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
 from lunar_rescue.scenes.records import from_json
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import read_json
 
 Record = TypeVar("Record")
 #: A size of a network; the bound is what a file of somebody else may make us allocate.
@@ -34,6 +37,17 @@ def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
     if missing := [path for path, _ in flat(to_dict(record)) if path not in given]:
         raise ValueError(f"{where}{missing[0]}: missing")
     return record
+
+
+def read_record(path: Path, what: str, kind: Any) -> Any:
+    """Read a JSON file that holds a ``kind``, any type of Pydantic's; a ``UserError`` names the field that is wrong."""
+    raw = read_json(path, what)
+    try:
+        return TypeAdapter(kind).validate_python(raw)
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = "".join(f"{place}: " for place in fault["loc"])
+        raise UserError(f"{path}: {what}: {where}{fault['msg']}, got {fault['input']!r:.80}") from None
 
 
 def flat(data: Any, path: str = "") -> Iterator[tuple[str, Any]]:

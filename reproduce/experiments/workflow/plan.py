@@ -11,7 +11,6 @@ import os
 from dataclasses import field
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from lunar_rescue import ENVIRONMENT_VERSION
@@ -19,9 +18,8 @@ from reproduce.experiments.evaluations import EVALUATIONS, TESTS, evaluations_of
 from reproduce.experiments.methods import METHODS, get_method
 from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import read_json
 from reproduce.storage.paths import notebook_files
-from reproduce.storage.records import to_dict
+from reproduce.storage.records import read_record, to_dict
 
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
@@ -75,13 +73,8 @@ class Plan:
     @classmethod
     def read(cls, path: Path) -> Plan:
         """Read a plan that a batch has written; a UserError where the file is missing or holds none."""
-        data = read_json(path, "plan of a batch")
-        try:
-            return TypeAdapter(cls).validate_python(data)
-        except ValidationError as error:
-            fault = error.errors()[0]
-            where = ".".join(map(str, fault["loc"]))
-            raise UserError(f"{path}: plan of a batch: {where}: {fault['msg']}") from None
+        plan: Plan = read_record(path, "plan of a batch", cls)
+        return plan
 
     def learns(self, method: str) -> bool:
         """Return whether a method has to be trained."""
