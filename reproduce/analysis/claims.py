@@ -70,8 +70,7 @@ class Part:
 
     words: str  # what the runs show, with figures
     holds: bool | None  # None where the rule leaves it open
-    figures: dict[str, Any] = field(default_factory=dict)  # ``measured``, ``low`` and ``high`` of the claim, if not
-    # the success of its first method
+    figures: dict[str, Any] = field(default_factory=dict)  # of the claim; without them its first method's success
     one_training: bool = False  # whether enough tests of one training decide it
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -66,13 +65,6 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
 _listed = ", ".join
 
 
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as Markdown, a line a row."""
-    cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in [head, *rows]]
-    lines = ["| " + " | ".join(row) + " |" for row in cells]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
-
-
 def _success(summary: dict[str, Any] | None) -> str:
     return "{} [{}, {}]".format(*(_percent(summary[key]) for key in COUNTS[2:])) if summary else "-"
 
@@ -97,12 +89,12 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
 
 def _paired(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
     """Return runs of other methods that met the same scenes, how many, and the difference with its interval."""
-    tested = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
-    chosen = next((rows for run, rows in tested if run.method == to), None)
+    tests = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
+    own = next((rows for run, rows in tests if run.method == to), None)
     return [
-        (run, len(rows), paired_difference(chosen["success"], rows["success"]))
-        for run, rows in tested
-        if chosen is not None and run.method != to and same_scenes(chosen, rows)
+        (run, len(rows), paired_difference(own["success"], rows["success"]))
+        for run, rows in tests
+        if own is not None and run.method != to and same_scenes(own, rows)
     ]
 
 
@@ -130,28 +122,23 @@ def nearest_to_rocks(
     """
     runs = {run.method: run.rows(name) for run in reversed(reference_runs(results))}  # the first seed stays
     ours, theirs = runs.get(first), runs.get(second)
-    values = {}
+    near = pd.DataFrame()
     if ours is not None and theirs is not None and same_scenes(ours, theirs):
         near = pd.DataFrame({first: ours["nearest_mark"], second: theirs["nearest_mark"]}).dropna()
-        values = {first: near[first], second: near[second], f"{first} - {second}": near[first] - near[second]}
-    rows = [(key, len(value), *mean_interval(value)) for key, value in values.items()]
+        near[f"{first} - {second}"] = near[first] - near[second]
+    rows = [(key, len(near), *mean_interval(near[key])) for key in near]
     columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
     return pd.DataFrame(rows, columns=columns).set_index(columns[0])
 
 
-def mass_classes(masses: pd.Series[float]) -> pd.Series[str]:
-    """Return the third of the mass range that each mass [kg] lies in, in words."""
-    edges = np.linspace(*MASS_RANGE, MASS_CLASSES + 1)
-    words = [f"{low:.0f} to {high:.0f} kg" for low, high in pairwise(edges)]
-    return pd.cut(masses, [*edges[:-1], np.inf], right=False, labels=words).astype(str)
-
-
 def by_condition(rows: pd.DataFrame) -> pd.DataFrame:
     """Return success by task, ground, mass, number of rocks and posture, with intervals, from an evaluation's rows."""
+    edges = np.linspace(*MASS_RANGE, MASS_CLASSES + 1)
+    words = [f"{low:.0f} to {high:.0f} kg" for low, high in pairwise(edges)]
     conditions = {
         "task": rows["task"],
         "ground": rows["terrain"],
-        "mass": mass_classes(rows["mass"]),
+        "mass": pd.cut(rows["mass"], [*edges[:-1], np.inf], right=False, labels=words).astype(str),
         "rocks": rows["rocks"].astype(str),
         "posture": rows["posture"],
     }
@@ -173,7 +160,7 @@ def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFra
         if (rows := run.rows(name)) is not None:
             lies = rows["attitude"].str.removeprefix("left_").str.removeprefix("right_")
             groups = rows.groupby((rows["task"] + " " + lies).str.replace("_", " "))["success"]
-            columns[run.label] = groups.agg(lambda found: f"{_percent(found.mean())} of {len(found)}")
+            columns[run.label] = groups.agg(lambda tests: f"{_percent(tests.mean())} of {len(tests)}")
     return pd.DataFrame(columns).T
 
 
@@ -202,8 +189,8 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         if summary is None or rows is None:
             continue
         key: dict[str, Any] = {"method": run.method, "seed": run.seed, "evaluation": name}
-        kept = ["first_seed", *COUNTS, "both_arms_under", "mean_return", "mean_steps"]
-        success.append({**key, "env_steps": run.env_steps, **{k: summary[k] for k in kept}})
+        figures = ["first_seed", *COUNTS, "both_arms_under", "mean_return", "mean_steps"]
+        success.append({**key, "env_steps": run.env_steps, **{name: summary[name] for name in figures}})
         conditions.append(by_condition(rows).reset_index().assign(**key))
         failures += [{**key, "failure": word, "tests": count} for word, count in summary["failures"].items()]
     tables = {
