@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,8 @@ from reproduce.analysis.runs import Run, reference_runs
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import wilson
-from reproduce.storage.files import write_atomically
 from reproduce.storage.paths import RESULTS
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
 COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
@@ -75,7 +73,7 @@ def _percent(rate: float) -> str:
 
 def write_table1(results: Path = RESULTS) -> Path:
     """Write ``table1.csv`` and return its path."""
-    return _write(table1(results), results / "table1.csv")
+    return write_table(results / "table1.csv", table1(results))
 
 
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
@@ -200,10 +198,4 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         "paired_test": paired_differences(results).reset_index(),
         "paired_heldout": paired_differences(results, name="heldout").reset_index(),
     }
-    return [_write(table, results / "tables" / f"{name}.csv") for name, table in tables.items()]
-
-
-def _write(table: pd.DataFrame, path: Path) -> Path:
-    write_atomically(path, partial(table.to_csv, index=False))
-    record_origin(path)
-    return path
+    return [write_table(results / "tables" / f"{name}.csv", table) for name, table in tables.items()]

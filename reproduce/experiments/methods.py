@@ -20,7 +20,7 @@ from reproduce.learning.config import RecurrentConfig, TrainingConfig
 from reproduce.learning.policy import Policy
 from reproduce.learning.training import Training
 from reproduce.storage.errors import UserError
-from reproduce.storage.policies import read_policy_json, save_policy
+from reproduce.storage.policies import read_policy_json
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,3 @@ def load_policy(folder: Path) -> tuple[Method, Policy]:
     if name not in learning:
         raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(learning)}; got {name!r:.60}")
     return METHODS[name], METHODS[name].act(folder)
-
-
-def export_policy(folder: Path, method: Method, training: Training) -> None:
-    """Write what is needed to act into a run folder."""
-    save_policy(folder, method.name, training.networks(), training.config.policy)

@@ -8,11 +8,14 @@ import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.storage.files import locked, read_json, write_json
+from reproduce.storage.files import locked, read_json, write_atomically, write_json
 from reproduce.storage.paths import INSTALLED, ROOT
 
 PACKAGES = ("pybullet", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "lunar-rescue")
@@ -41,6 +44,13 @@ def record_origin(path: Path) -> None:
     with locked(path.parent, "register of origins", name=".origins.lock", wait=True):
         known = read_json(register, "register of origins") if register.is_file() else {}
         write_json(register, {**known, path.name: origin})
+
+
+def write_table(path: Path, table: pd.DataFrame) -> Path:
+    """Write a table as CSV, without its index, note its origin, and return its path."""
+    write_atomically(path, partial(table.to_csv, index=False))
+    record_origin(path)
+    return path
 
 
 def command_line() -> str:

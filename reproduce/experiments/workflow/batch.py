@@ -16,9 +16,9 @@ import pandas as pd
 
 from reproduce.experiments.workflow.plan import TARGETS, Job, Plan
 from reproduce.storage.errors import RunFailedError, UserError
-from reproduce.storage.files import locked, write_atomically, write_json
+from reproduce.storage.files import locked, write_json
 from reproduce.storage.processes import end_with
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 HERE = Path(__file__).parent
 PROFILES = ("local", "slurm")
@@ -38,15 +38,11 @@ def run_batch(
     dry_run: bool = False,
     echo: Echo = print,
 ) -> None:
-    """Do what of a plan is not done yet.
+    """Do what of a plan is not done yet; a ``RunFailedError`` lists what failed.
 
     ``out`` is laid out as results/ is; ``profile`` is ``local``, ``slurm`` or a folder with a Snakemake profile;
     ``slots`` are steps at once; ``until`` is one of ``TARGETS``; ``dry_run`` only says what is left; ``echo`` takes
     lines for people.
-
-    Raises:
-        UserError: When the folder cannot be written or belongs to another batch under way.
-        RunFailedError: With the list of what failed.
     """
     out, options = out.resolve(), _options(plan, profile, slots, until)
     if dry_run:
@@ -133,11 +129,8 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
 
 def _write_timings(jobs: list[Job], out: Path) -> None:
     """Write ``timings.csv``: seconds of each step, as Snakemake measured them."""
-    rows = [
-        {"rule": j.rule, "step": j.name, "output": str(j.output), "seconds": _seconds(out / j.timing)} for j in jobs
-    ]
-    write_atomically(out / "timings.csv", lambda path: pd.DataFrame(rows).to_csv(path, index=False))
-    record_origin(out / "timings.csv")
+    rows = [(job.rule, job.name, job.output, _seconds(out / job.timing)) for job in jobs]
+    write_table(out / "timings.csv", pd.DataFrame(rows, columns=["rule", "step", "output", "seconds"]))
 
 
 def _seconds(path: Path) -> float | None:

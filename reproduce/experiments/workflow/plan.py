@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from dataclasses import field
 from pathlib import Path
 
@@ -127,11 +128,10 @@ def parse_seeds(text: str) -> list[int]:
     """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names; a UserError says what else was given."""
     seeds: list[int] = []
     for part in text.split(","):
-        first, separator, last = part.strip().partition("-")
-        numbers = [first, last] if separator else [first]
-        if not all(n.isascii() and n.isdigit() and len(n) < 10 for n in numbers):
+        numbers = re.fullmatch(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*", part)
+        if numbers is None:
             raise UserError(f"--seeds: expected numbers and ranges such as 0-4 or 0,2,7; got {text!r}")
-        low, high = int(numbers[0]), int(numbers[-1])
+        low, high = int(numbers[1]), int(numbers[2] or numbers[1])
         if high < low or high - low >= MOST_SEEDS:
             raise UserError(f"--seeds: expected a range upwards of at most {MOST_SEEDS} seeds; got {part.strip()!r}")
         seeds += range(low, high + 1)
