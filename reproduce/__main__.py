@@ -105,12 +105,12 @@ def replay(
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
-    from reproduce.report.replay import parse_size
-    from reproduce.report.replay import replay as show
+    from reproduce.report.acting import ending
+    from reproduce.report.film import parse_size
+    from reproduce.report.film import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
-    ended = "rescued" if row["success"] else f"failed by {row['failure']}"
-    typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
+    typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
 
 
 @app.command()

@@ -69,10 +69,8 @@ class Spectator:
     def look(self, episode: Episode, subgoals: NDArray[Any] | None = None, words: str = "") -> tuple[Moment, bool]:
         """Return the moment and whether it is the first of another scene.
 
-        Args:
-            episode: The episode, as it is now.
-            subgoals: Sub-goals of arm A and arm B in the base frame (2, 3) [m], if the policy has any.
-            words: Added to the caption.
+        ``subgoals`` are those of arm A and arm B in the base frame (2, 3) [m], if the policy has any; ``words`` are
+        added to the caption.
         """
         new = self._stage.show(episode)
         if new:
@@ -106,14 +104,9 @@ class Actors:
     def __init__(
         self, server: viser.ViserServer, scene: Scene, robot: list[VisualShape], first: Moment, subgoals: bool
     ) -> None:
-        """Put everything into a server's empty scene.
+        """Put everything into a server's empty scene, where it is in the ``first`` moment.
 
-        Args:
-            server: Shows it.
-            scene: The scene.
-            robot: What of the robot is seen.
-            first: Where everything is at the beginning.
-            subgoals: Whether there are sub-goals to be shown.
+        ``robot`` is what of the robot is seen; ``subgoals`` says whether there are any to be shown.
         """
         self._scene = server.scene
         _aim(server.initial_camera, scene)
@@ -139,13 +132,9 @@ class Actors:
         for actor, (place, quaternion) in poses:
             actor.position, actor.wxyz = place, np.roll(quaternion, 1)
         # The last moment has no sub-goals: they stay where they were.
-        for balls, places in (
-            (self._ends, moment.ends),
-            (self._targets, moment.targets),
-            (self._subgoals, moment.subgoals),
-        ):
-            for ball, place in zip(balls, () if places is None else places, strict=False):
-                ball.position = place
+        places = [*moment.ends, *moment.targets, *(() if moment.subgoals is None else moment.subgoals)]
+        for ball, place in zip([*self._ends, *self._targets, *self._subgoals], places, strict=False):
+            ball.position = place
         self._lines.points, self._lines.colors = _segments(moment)
         self._words.text = moment.words
 

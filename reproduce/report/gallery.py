@@ -11,6 +11,8 @@ from lunar_rescue.physics.robot import CONTROL_STEP
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.runs import Run
 from reproduce.experiments.methods import METHODS
+from reproduce.report.acting import ending
+from reproduce.report.viewer import record, write_replay
 from reproduce.storage.processes import map_in_processes
 
 MOST_SCENES = 3000  # looked through for a posture
@@ -30,10 +32,7 @@ class Clip:
 def choose_clips(runs: list[Run]) -> list[Clip]:
     """Choose a success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
     clips = []
-    for run in runs:
-        rows = run.rows()
-        if rows is None:
-            continue
+    for run, rows in ((run, rows) for run in runs if (rows := run.rows()) is not None):
         title = METHODS[run.method].title + (f", seed {run.seed}" if run.origin else "")
         for success, word in ((True, "success"), (False, "failure")):
             for seed in rows["seed"][rows["success"] == success].head(1).tolist():
@@ -65,9 +64,6 @@ def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
 
 
 def _make(clip: Clip, folder: Path) -> str:
-    from reproduce.report.acting import ending
-    from reproduce.report.viewer import record, write_replay
-
     recording = record(clip.where, clip.seed)
     write_replay(recording, folder / clip.file)
     return f"{ending(recording.row)} after {recording.row['steps'] * CONTROL_STEP:.1f} s"

@@ -14,6 +14,7 @@ import nbformat
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
 
+from reproduce.report.notebooks import failed_output
 from reproduce.report.rendering import TEMPLATES, render
 
 _DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
@@ -53,11 +54,8 @@ def mark_mathematics(text: str, pieces: dict[str, str], prefix: str) -> str:
     return "".join(parts)
 
 
-def notebook_page(path: Path, failed: Path | None = None) -> Page:
-    """Make a page of an executed notebook.
-
-    ``failed`` is what is left of a later run that stopped before its end; the page then says so.
-    """
+def notebook_page(path: Path) -> Page:
+    """Make a page of an executed notebook; it says so where a later run stopped before its end."""
     document = nbformat.read(path, as_version=4)
     pieces: dict[str, str] = {}
     prefix, title, heading, texts = path.stem[:2], "", path.stem, []
@@ -73,12 +71,12 @@ def notebook_page(path: Path, failed: Path | None = None) -> Page:
             mark = f"@@{prefix}cell{index}@@"
             pieces[mark] = _cell_html(cell, heading, f"notebooks/{path.name}, cell {index + 1}")
             texts.append(mark)
-    origin = document.metadata.get("papermill", {})
+    origin, failed = document.metadata.get("papermill", {}), failed_output(path.parent, path.stem)
     text = render(
         "notebook.md",
         texts=texts,
         file=path.name,
-        failed=failed and failed.name,
+        failed=failed.name if failed.exists() else None,
         parameters=origin.get("parameters") or {},
         finished=str(origin.get("end_time") or "at an unknown time")[:19],
     )

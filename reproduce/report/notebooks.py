@@ -32,11 +32,6 @@ class Notebook:
     path: Path
     defaults: dict[str, Any]
 
-    @property
-    def name(self) -> str:
-        """Return the file's name without its ending."""
-        return self.path.stem
-
 
 def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[Notebook]:
     """Return the notebooks in order, or the one whose number or name is ``only``."""
@@ -77,11 +72,7 @@ def parse_assignments(assignments: list[str]) -> dict[str, Any]:
 
 
 def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each notebook by its name.
-
-    Raises:
-        UserError: On an unknown preset, a name that no chosen notebook has, or a value of a wrong type or range.
-    """
+    """Return the parameters of each notebook by its name; refuse names that none of them has, and wrong values."""
     check_value("preset", preset, preset)
     known = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
     for name, value in given.items():
@@ -89,7 +80,7 @@ def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, An
             raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(known))}")
         check_value(name, value, known[name])
     everything = {"preset": preset, **given}
-    return {n.name: {name: value for name, value in everything.items() if name in n.defaults} for n in notebooks}
+    return {n.path.stem: {name: everything[name] for name in n.defaults if name in everything} for n in notebooks}
 
 
 def run_notebooks(
@@ -101,9 +92,8 @@ def run_notebooks(
 ) -> Path:
     """Run notebooks; return the folder of what came out.
 
-    Raises:
-        UserError: Before anything runs, on a bad name or value.
-        RunFailedError: When a notebook fails; its output is kept as ``NAME.failed.ipynb``.
+    A bad name or value is refused before anything runs. The output of a notebook that fails is kept as
+    ``NAME.failed.ipynb``.
     """
     notebooks = find_notebooks(only, sources)
     parameters = check_parameters(notebooks, preset, parse_assignments(assignments or []))
@@ -111,7 +101,7 @@ def run_notebooks(
     folder.mkdir(parents=True, exist_ok=True)
     with _own_surroundings(results.resolve()):
         for notebook in notebooks:
-            _run(notebook, parameters[notebook.name], folder, sources.parent)
+            _run(notebook.path, parameters[notebook.path.stem], folder, sources.parent)
     return folder
 
 
@@ -143,11 +133,11 @@ def _own_surroundings(results: Path) -> Iterator[None]:
             os.environ.update(before)
 
 
-def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Path) -> None:
-    failed, finished = failed_output(folder, notebook.name), folder / f"{notebook.name}.ipynb"
+def _run(notebook: Path, parameters: dict[str, Any], folder: Path, root: Path) -> None:
+    failed = failed_output(folder, notebook.stem)
     try:
         papermill.execute_notebook(
-            notebook.path,
+            notebook,
             failed,
             parameters=parameters,
             kernel_name="python3",
@@ -160,12 +150,12 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
         )
     except (PapermillExecutionError, DeadKernelError) as error:
         what = f"{error.ename}: {error.evalue}" if isinstance(error, PapermillExecutionError) else "the kernel died"
-        where = f"{notebook.name}, cell {stopped_at(failed)}: {what}"
+        where = f"{notebook.stem}, cell {stopped_at(failed)}: {what}"
         raise RunFailedError(f"notebook failed: {where} (output kept in {failed})") from None
     if not is_complete(failed):
-        where = f"{notebook.name}, cell {stopped_at(failed)}"
+        where = f"{notebook.stem}, cell {stopped_at(failed)}"
         raise RunFailedError(f"notebook stopped before its end: {where} (output kept in {failed})")
-    os.replace(failed, finished)
+    failed.replace(folder / notebook.name)
 
 
 def failed_output(folder: Path, name: str) -> Path:

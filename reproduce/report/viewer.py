@@ -64,11 +64,7 @@ def viser_server(port: int = 0) -> Iterator[viser.ViserServer]:
 
 
 def write_replay(recording: Recording, out: Path) -> None:
-    """Write the page of a recording.
-
-    Raises:
-        UserError: When it would be larger than ``LARGEST``.
-    """
+    """Write the page of a recording, unless it would be larger than ``LARGEST``."""
     first, *rest = recording.moments
     with viser_server() as server:
         serializer = server.get_scene_serializer()

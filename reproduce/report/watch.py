@@ -22,7 +22,6 @@ from reproduce.storage.errors import UserError
 if TYPE_CHECKING:
     import viser
 
-PORT = 8080
 PAUSE = 2.0  # s, after each rescue
 LAG = 0.5  # s, that a slow picture may be made up for by quicker ones after it
 PATIENCE = 60.0  # s, that the first rescue waits for somebody to open the page
@@ -34,16 +33,13 @@ def watch(
     rescues: int = 0,
     posture: str | None = None,
     task: str | None = None,
-    port: int = PORT,
+    port: int = 8080,
     tell: Callable[[str], None] = print,
 ) -> None:
     """Play rescues one after another in the browser, from the scene of ``seed`` on, until interrupted.
 
     ``where`` is a run folder or a method that does not learn; ``seed`` is the first scene's; 0 ``rescues`` never end,
     and ``port`` 0 is a free one. ``tell`` is called with the page's address, then with a line about each rescue.
-
-    Raises:
-        UserError: On a wrong argument, or a port that is taken.
     """
     if rescues < 0:
         raise UserError(f"--rescues: expected at least 0, got {rescues}")
