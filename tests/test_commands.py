@@ -313,7 +313,7 @@ def test_configuration_survives_json_and_refuses_strangers() -> None:
         ("anchors", "patience", None, "config.anchors.patience: missing"),
     ):
         changed = {name: value for name, value in {**raw[part], field: value}.items() if value is not None}
-        with pytest.raises(ValueError) as error:
+        with pytest.raises(UserError) as error:
             from_dict(kind, {**raw, part: changed}, "config.")
         assert str(error.value) == words
 

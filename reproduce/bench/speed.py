@@ -10,7 +10,6 @@ The peer is ``PandaReach-v3`` of panda-gym, also PyBullet, which is not in the l
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import os
 import time
@@ -87,9 +86,7 @@ def measure(part: str = "all", rounds: int = ROUNDS, steps: int = STEPS) -> dict
 def measure_environments(rounds: int, steps: int) -> dict[str, Any]:
     """Measure one process on each kind of ground, the peer, and sixteen environments on all cores, in alternation."""
     kinds = {sample_scene(FIRST_SEED + i).terrain.kind for i in range(LOOKED_AT)} & set(ENDINGS)
-    rng = np.random.default_rng(0)
-    tallies: list[Round] = []
-    everywhere: list[float] = []
+    rng, tallies, everywhere = np.random.default_rng(0), [], []
     with ExitStack() as stack:
         ours, peer = our_episodes(stack), peer_episodes(stack)
         venv = stack.enter_context(closing(WorkerVecEnv(ALL_ENVS, seed=0)))
@@ -159,20 +156,17 @@ def our_episodes(stack: ExitStack) -> Episodes:
         episodes.inside += time.perf_counter() - begun
 
     env.simulation.advance = timed  # type: ignore[method-assign]
-    sample = partial(rng.uniform, -1, 1, JOINTS)
-    episodes = Episodes(lambda: env.reset_flat(next(seeds)), env.step_flat, sample, HOLD, MAX_STEPS)
+    reset, sample = (lambda: env.reset_flat(next(seeds))), partial(rng.uniform, -1, 1, JOINTS)
+    episodes = Episodes(reset, env.step_flat, sample, HOLD, MAX_STEPS)
     return episodes
 
 
 def peer_episodes(stack: ExitStack) -> Episodes | None:
     """Return the peer's episodes if panda-gym is installed; ``stack`` closes the environment."""
     try:
-        if importlib.util.find_spec("panda_gym") is None:
-            return None
-    except ValueError:  # what Python raises where an entry of sys.modules is None
+        import panda_gym  # noqa: F401
+    except ImportError:
         return None
-    import panda_gym  # noqa: F401
-
     with no_greeting():
         env = stack.enter_context(closing(gymnasium.make(PEER)))
     return bare_episodes(env.unwrapped, gymnasium.spec(PEER).max_episode_steps or 50)
@@ -226,9 +220,8 @@ def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:
 
 def _ratios(name: str, rounds: list[Round], above: str, below: str) -> dict[str, Any]:
     """Return the ratio of two rates in each round, and their median."""
-    ratios = [tallies[above].rate / tallies[below].rate for tallies in rounds if above in tallies and below in tallies]
-    rounded = [round(ratio, 3) for ratio in ratios]
-    return {name: round(median(ratios), 3), f"{name}_rounds": rounded} if ratios else {}
+    ratios = [tallies[above].rate / tallies[below].rate for tallies in rounds if {above, below} <= tallies.keys()]
+    return {name: round(median(ratios), 3), f"{name}_rounds": [round(r, 3) for r in ratios]} if ratios else {}
 
 
 def measure_tests(rounds: int, steps: int) -> dict[str, Any]:

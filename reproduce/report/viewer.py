@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
-
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.pictures.stage import VisualShape
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
@@ -38,14 +36,9 @@ class Recording:
 def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:
     """Act one rescue out and note where everything is; see ``acting.load_policy_and_scene``."""
     policy, scene = load_policy_and_scene(where, seed, posture, task)
-    env, spectator = LunarRescueEnv(), Spectator()
     moments: list[Moment] = []
-
-    def note(subgoals: NDArray[Any] | None, words: str) -> None:
-        moments.append(spectator.look(env.episode, subgoals, words)[0])
-
-    with closing(env), closing(spectator):
-        row = act_out(env, policy, scene, note)
+    with closing(LunarRescueEnv()) as env, closing(Spectator()) as spectator:
+        row = act_out(env, policy, scene, lambda *what: moments.append(spectator.look(env.episode, *what)[0]))
     return Recording(scene, spectator.robot, moments, row)
 
 

@@ -57,14 +57,10 @@ def watch(
 
 def _check_port(port: int) -> None:
     """Refuse a port that cannot be served on; viser would take the next one without a word."""
-    if not 0 <= port <= 65535:
-        raise UserError(f"--port: expected 0 to 65535, got {port}")
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise UserError(f"--port: {port} cannot be served on: {error.strerror}") from None
+    try:
+        socket.create_server(("127.0.0.1", port)).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--port: {port} cannot be served on: {error}") from None
 
 
 class LiveView:

@@ -75,7 +75,7 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     if changes := differences(meta["config"], config):
         raise UserError(f"{path}: was made with another configuration: {', '.join(changes[:3])}")
     try:
-        progress = from_dict(Progress, meta["progress"], "progress.")
+        progress = from_dict(Progress, meta["progress"], f"{path}: progress.")
         for level, learner in learners.items():
             learner.load_state(_under(level, tensors), meta["learners"][level])
         th.set_rng_state(tensors["torch_rng"])

@@ -30,11 +30,7 @@ def check_writable(path: Path) -> None:
             if not os.access(path, os.W_OK):
                 raise UserError(f"{path}: cannot be written: permission denied")
             return
-        folder = path.resolve().parent
-        while not os.path.lexists(folder):
-            folder = folder.parent
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        tempfile.TemporaryFile(dir=next(filter(os.path.lexists, path.resolve().parents))).close()
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -25,17 +25,17 @@ def to_dict(record: Any) -> dict[str, Any]:
 def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
     """Read a record, of a class decorated with ``checked``, from what a JSON file held; no missing field is guessed.
 
-    What is wrong is a ``ValueError`` of one line: ``where``, the path of the field, what was expected and what came.
+    What is wrong is a ``UserError`` of one line: ``where``, the path of the field, what was expected and what came.
     """
     try:
         record = from_json(kind, json.dumps(raw), where)
     except RecursionError:
-        raise ValueError(f"{where}expected {kind.__name__}, got data nested too deeply") from None
+        raise UserError(f"{where}expected {kind.__name__}, got data nested too deeply") from None
     except ValueError as error:  # a record's own check does not know where it is
-        raise ValueError(f"{where}{str(error).removeprefix(where)}") from None
+        raise UserError(f"{where}{str(error).removeprefix(where)}") from None
     given = {path for path, _ in flat(raw)}
     if missing := [path for path, _ in flat(to_dict(record)) if path not in given]:
-        raise ValueError(f"{where}{missing[0]}: missing")
+        raise UserError(f"{where}{missing[0]}: missing")
     return record
 
 

@@ -129,7 +129,7 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
 
 def _write_timings(jobs: list[Job], out: Path) -> None:
     """Write ``timings.csv``: seconds of each step, as Snakemake measured them."""
-    rows = [(job.rule, job.name, job.output, _seconds(out / job.timing)) for job in jobs]
+    rows = [(job.rule, job.name, job.output, _seconds(out / f"timings/{job.label}.tsv")) for job in jobs]
     write_table(out / "timings.csv", pd.DataFrame(rows, columns=["rule", "step", "output", "seconds"]))
 
 
@@ -142,8 +142,8 @@ def _seconds(path: Path) -> float | None:
 
 def _what_failed(failed: list[Job], code: int, out: Path, begun: float) -> str:
     """Return the steps that ran and failed, each with the end of its log, and how many wait for them."""
-    ends = {job: _end_of_log(out / job.log, begun) for job in failed}
-    faults = [f"{job.name}: {end} ({out / job.log})" for job, end in ends.items() if end]
+    logs = {job.name: out / f"logs/{job.label}.log" for job in failed}
+    faults = [f"{name}: {end} ({log})" for name, log in logs.items() if (end := _end_of_log(log, begun))]
     waiting = len(failed) - len(faults)
     if not faults:
         log = out / "logs" / "snakemake.log"

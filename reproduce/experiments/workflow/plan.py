@@ -37,17 +37,7 @@ class Job:
     rule: str  # rule of the Snakefile that does it
     name: str  # what people call it, such as "train hrl_dcs seed 0"
     output: Path  # the file that it writes; the step is done when it is there
-    label: str  # stem of its log and of the file with its seconds
-
-    @property
-    def log(self) -> Path:
-        """File that takes what the step prints."""
-        return Path(f"logs/{self.rule}_{self.label}.log")
-
-    @property
-    def timing(self) -> Path:
-        """File in which Snakemake notes the step's seconds."""
-        return Path(f"timings/{self.rule}_{self.label}.tsv")
+    label: str  # stem of logs/LABEL.log, which takes what it prints, and of timings/LABEL.tsv with its seconds
 
 
 @dataclass(frozen=True)
@@ -103,15 +93,17 @@ class Plan:
         for method, seed in self.runs():
             name, label, where = f"{method} seed {seed}", f"{method}_seed{seed}", Path(folder(method, seed))
             if self.learns(method):
-                jobs.append(Job("train", f"train {name}", where / "run.json", label))
+                jobs.append(Job("train", f"train {name}", where / "run.json", f"train_{label}"))
             if until != "policies":
                 for check in evaluations_of(method):
-                    jobs.append(Job("evaluate", f"{check} of {name}", where / f"{check}.json", f"{label}_{check}"))
+                    file, stem = where / f"{check}.json", f"evaluate_{label}_{check}"
+                    jobs.append(Job("evaluate", f"{check} of {name}", file, stem))
         if until != "policies":
-            jobs.append(Job("tables", "tables", Path(TABLES[-1]), "all"))
+            jobs.append(Job("tables", "tables", Path(TABLES[-1]), "tables_all"))
         if until == "report":
-            jobs += [Job("notebook", f"notebook {n}", Path(f"notebooks/{n}.ipynb"), n) for n in self.notebooks]
-            jobs.append(Job("report", "report", Path(REPORT), "all"))
+            for name in self.notebooks:
+                jobs.append(Job("notebook", f"notebook {name}", Path(f"notebooks/{name}.ipynb"), f"notebook_{name}"))
+            jobs.append(Job("report", "report", Path(REPORT), "report_all"))
         return jobs
 
 
