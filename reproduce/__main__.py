@@ -1,5 +1,6 @@
 """The command line: ``reproduce`` or ``python -m reproduce``."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -145,8 +146,7 @@ def notebooks(
     preset: console.Preset = "smoke",
     only: Annotated[str | None, typer.Option(help="number or name of one notebook, such as 02")] = None,
     parameter: Annotated[
-        list[str] | None,
-        typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME"),
+        list[str] | None, typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME")
     ] = None,
     report: Annotated[bool, typer.Option(help="build the report afterwards")] = True,
     replays: console.Replays = True,
@@ -183,11 +183,12 @@ def batch(
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
     from reproduce.experiments.methods import METHODS
     from reproduce.experiments.workflow.batch import run_batch
-    from reproduce.experiments.workflow.plan import TARGETS, Plan, cores, parse_seeds
+    from reproduce.experiments.workflow.plan import TARGETS, Plan, parse_seeds
     from reproduce.storage.paths import RESULTS
 
-    slots = slots or max(1, cores() // 2)
-    threads = threads or max(1, cores() // slots)
+    cores = len(os.sched_getaffinity(0))
+    slots = slots or max(1, cores // 2)
+    threads = threads or max(1, cores // slots)
     names = list(METHODS) if methods == "all" else [name.strip() for name in methods.split(",")]
     out = out or RESULTS / "batch" / preset
     run_batch(Plan.make(preset, names, parse_seeds(seeds), threads), out, profile, slots, until, dry_run, typer.echo)

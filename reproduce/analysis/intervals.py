@@ -23,7 +23,6 @@ def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, float
     Wald's interval for paired proportions with half a test added to each of the four cells, which keeps its level for
     few tests and rates near 0 or 1 (Agresti and Min, Statistics in Medicine 24, 2005). ``first`` and ``second`` say
     whether each scene ended in a rescue, (tests,) of booleans in the same order; anything else is a ``ValueError``.
-    Returned are the rate of ``first`` minus that of ``second``, and the ends of the interval.
     """
     ours, theirs = np.asarray(first), np.asarray(second)
     if ours.shape != theirs.shape or not ours.size or ours.dtype != bool or theirs.dtype != bool:

@@ -22,6 +22,7 @@ COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
 COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
 SPLIT_TITLES = {"test": "evaluation", "held out": "heldout"}
 MASS_CLASSES = 3  # equal parts of the range of masses
+_listed = ", ".join
 
 
 def table1(results: Path = RESULTS) -> pd.DataFrame:
@@ -58,9 +59,6 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
-
-
-_listed = ", ".join
 
 
 def _success(summary: dict[str, Any] | None) -> str:

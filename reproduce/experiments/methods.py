@@ -41,10 +41,7 @@ class Method:
         return configuration(self.kind, preset, self.changes)
 
 
-def _chosen(method: str) -> dict[str, Any]:
-    return TRIALS[method][CHOSEN[method]]
-
-
+_CHOSEN = {method: TRIALS[method][trial] for method, trial in CHOSEN.items()}
 _TWO_LAYERS = partial(Method, act=load_hierarchical_policy, train=HierarchicalTraining, kind=HierarchicalConfig)
 _SAC = partial(Method, act=load_sac_policy, train=SacTraining, kind=SacTrainingConfig)
 METHODS: dict[str, Method] = {
@@ -65,20 +62,20 @@ METHODS: dict[str, Method] = {
             load_feudal_policy,
             FunTraining,
             FeudalConfig,
-            _chosen("fun"),
+            _CHOSEN["fun"],
             paper_success=0.918,
         ),
         _SAC(
             "sac",
             "SAC",
             "flat SAC on the environment's reward, with the paper's toolkit's replay buffer",
-            changes=_chosen("sac"),
+            changes=_CHOSEN["sac"],
         ),
         _SAC(
             "sac_large_buffer",
             "SAC, large buffer",
             "the same with SB3's usual replay buffer of a million transitions; not in the paper",
-            changes={**_chosen("sac"), "sac.buffer_size": 1_000_000},
+            changes={**_CHOSEN["sac"], "sac.buffer_size": 1_000_000},
         ),
         Method(
             "ppo_lstm",
@@ -87,7 +84,7 @@ METHODS: dict[str, Method] = {
             load_flat_policy,
             FlatTraining,
             RecurrentConfig,
-            _chosen("ppo_lstm"),
+            _CHOSEN["ppo_lstm"],
         ),
         Method(
             "scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()

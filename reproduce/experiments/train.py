@@ -188,9 +188,10 @@ class _Run:
                 update, steps = self.progress.update + 1, self.progress.steps + training.steps_per_update
                 seconds = time.monotonic() - begun
                 self.progress = Progress(update, steps, seconds)
-                self.rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
+                row = {"seconds": round(seconds, 2), **row}
+                self.rows.append({"update": update, "env_steps": steps, **row})
                 if writer:
-                    _log(writer, self.rows[-1])
+                    _log(writer, row, steps)
                 bar.update(training.steps_per_update)
                 bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
                 if update % self.config.checkpoint_every == 0 and steps < total:
@@ -220,8 +221,7 @@ def _tensorboard(folder: Path | None, steps: int) -> AbstractContextManager[Any]
     return SummaryWriter(str(folder), purge_step=steps or None)
 
 
-def _log(writer: Any, row: dict[str, Any]) -> None:
+def _log(writer: Any, row: dict[str, Any], steps: int) -> None:
     for name, value in row.items():
-        if name not in ("update", "env_steps") and math.isfinite(value):
-            part = name.split("_")[0] if "_" in name else "training"
-            writer.add_scalar(f"{part}/{name}", value, row["env_steps"])
+        if math.isfinite(value):
+            writer.add_scalar(f"{name.split('_')[0] if '_' in name else 'training'}/{name}", value, steps)

@@ -51,7 +51,8 @@ def tune(
     path = results / TUNING / f"{method}.csv"
     with locked(path.parent, "folder of tuning trials"):
         conditions = {trial: _conditions(trial, changes, steps, tests) for trial, changes in TRIALS[method].items()}
-        rows = _known_rows(path, conditions)
+        before: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
+        rows = {row["trial"]: row for row in before if _same(row, conditions.get(row["trial"], {"trial": None}))}
         for trial in conditions:
             if trial not in rows:
                 rows[trial] = {**conditions[trial], **_measure(method, trial, steps, tests, quiet)}
@@ -60,15 +61,8 @@ def tune(
     return pd.DataFrame([rows[trial] for trial in conditions])
 
 
-def _known_rows(path: Path, conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Read the rows of trials that were made under the same conditions, by the trial's name."""
-    rows: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    return {
-        name: row
-        for row in rows
-        if (name := row["trial"]) in conditions
-        and all(str(row.get(key)) == str(value) for key, value in conditions[name].items())
-    }
+def _same(row: dict[str, Any], conditions: dict[str, Any]) -> bool:
+    return all(str(row.get(key)) == str(value) for key, value in conditions.items())
 
 
 def _conditions(trial: str, changes: Changes, steps: int, tests: int) -> dict[str, Any]:

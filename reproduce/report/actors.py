@@ -62,7 +62,6 @@ class Spectator:
     """Look at an episode and tell where everything is; a stage of its own computes the links' poses."""
 
     def __init__(self) -> None:
-        """Set up a stage on which nothing stands yet."""
         self._stage = StageSet(Stage())
         self.robot: list[VisualShape] = []
 
@@ -109,7 +108,10 @@ class Actors:
         ``robot`` is what of the robot is seen; ``subgoals`` says whether there are any to be shown.
         """
         self._scene = server.scene
-        _aim(server.initial_camera, scene)
+        camera: Any = server.initial_camera
+        view = scene_camera(scene)  # as of the pictures of ``reproduce replay``
+        camera.position, camera.look_at, camera.up = view.eye, np.array(view.target), scene.terrain.up()
+        camera.fov = FIELD_OF_VIEW
         self._light(scene)
         self._stand(scene)
         self._links = self._robot(robot)
@@ -205,10 +207,3 @@ def _solid(shape: VisualShape) -> trimesh.Trimesh:
         case "sphere":
             return trimesh.creation.icosphere(2, radius=shape.size[0])
     raise UserError(f"robot file: a replay cannot draw a {shape.kind}")
-
-
-def _aim(camera: Any, scene: Scene) -> None:
-    """Look from where the pictures of ``reproduce replay`` are taken."""
-    view = scene_camera(scene)
-    camera.position, camera.look_at, camera.up = view.eye, np.array(view.target), scene.terrain.up()
-    camera.fov = FIELD_OF_VIEW

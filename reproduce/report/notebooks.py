@@ -1,8 +1,4 @@
-"""Run the notebooks with papermill, in order, with nothing of the user's own surroundings in their kernels.
-
-papermill only warns of a parameter that a notebook does not know, and takes any value; here names and values are
-checked for all notebooks before the first one runs.
-"""
+"""Run the notebooks with papermill, in order, with nothing of the user's own surroundings in their kernels."""
 
 import ast
 import os
@@ -21,8 +17,6 @@ from papermill.exceptions import PapermillExecutionError
 from reproduce.report.parameters import check_value
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.paths import NOTEBOOKS, RESULTS, notebook_files
-
-OUTPUTS = "notebooks"
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ def run_notebooks(
     """
     notebooks = find_notebooks(only, sources)
     parameters = check_parameters(notebooks, preset, parse_assignments(assignments or []))
-    folder = results.resolve() / OUTPUTS
+    folder = results.resolve() / "notebooks"
     folder.mkdir(parents=True, exist_ok=True)
     with _own_surroundings(results.resolve()):
         for notebook in notebooks:

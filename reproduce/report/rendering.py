@@ -1,7 +1,7 @@
 """Render the templates in ``templates/``: pages of the report, model cards, computed blocks of README and docs."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,6 @@ def _table(frame: pd.DataFrame) -> str:
     return "\n".join([head, "|" + "---|" * frame.shape[1], *rows, ""])
 
 
-def _percent(share: float, digits: int = 1) -> str:
-    return f"{100 * share:.{digits}f} %"
-
-
-def _span(bounds: tuple[float, float], unit: str = "") -> str:
-    return f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip()
-
-
 _ENVIRONMENT = Environment(
     loader=FileSystemLoader(TEMPLATES),
     undefined=StrictUndefined,
@@ -36,16 +28,17 @@ _ENVIRONMENT = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-_ENVIRONMENT.filters |= {
+FILTERS: dict[str, Callable[..., str]] = {
     "cell": _cell,
     "count": "{:,.0f}".format,
     "degrees": lambda angle: f"{math.degrees(angle):.0f} deg",
-    "percent": _percent,
+    "percent": lambda share, digits=1: f"{100 * share:.{digits}f} %",
     "points": lambda share: f"{100 * share:.1f}",
-    "span": _span,
+    "span": lambda bounds, unit="": f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip(),
     "spaced": lambda name: str(name).replace("_", " "),
     "table": _table,
 }
+_ENVIRONMENT.filters |= FILTERS
 
 
 def template(name: str) -> Template:

@@ -17,9 +17,9 @@ from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import readable_table1
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
-from reproduce.report.gallery import Clip, choose_clips, make_clips
 from reproduce.report.notebook import Page, fill_in, notebook_page
 from reproduce.report.rendering import render
+from reproduce.report.viewer import Clip, choose_clips, make_clips
 from reproduce.storage.files import write_text
 from reproduce.storage.paths import ROOT, notebook_files
 from reproduce.storage.provenance import provenance
@@ -59,8 +59,11 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
             for notebook in pages.values():
                 text = fill_in(text, notebook.pieces)
             page.write_text(text, encoding="utf-8")
-        _replace(site, results / "report")
-    return results / "report" / "index.html"
+        report = results / "report"
+        if report.exists():
+            report.rename(Path(name) / "old")  # and goes with this folder
+        site.rename(report)
+    return report / "index.html"
 
 
 def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], results: Path) -> dict[str, str]:
@@ -111,15 +114,6 @@ def _build(sources: Path, site: Path, navigation: list[dict[str, Any]]) -> None:
     build(load_config(str(CONFIGURATION), nav=navigation, copyright=f"Made by {now['command']}, {origin}", **folders))
     for left in FOR_SERVERS:
         (site / left).unlink(missing_ok=True)
-
-
-def _replace(site: Path, target: Path) -> None:
-    old = target.with_name(f".{target.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        target.rename(old)
-    site.rename(target)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:

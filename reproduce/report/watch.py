@@ -43,11 +43,16 @@ def watch(
     """
     if rescues < 0:
         raise UserError(f"--rescues: expected at least 0, got {rescues}")
-    _check_port(port)
+    try:  # viser would take the next port without a word
+        socket.create_server(("127.0.0.1", port)).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--port: {port} cannot be served on: {error}") from None
     policy, _ = load_policy_and_scene(where, seed, posture, task)
     with viser_server(port) as server, closing(LunarRescueEnv()) as env, closing(LiveView(server)) as live:
         tell(f"watch at http://localhost:{server.get_port()} (Ctrl-C ends it)")
-        live.wait_for_somebody(PATIENCE)
+        end = time.monotonic() + PATIENCE
+        while not server.get_clients() and time.monotonic() < end:
+            time.sleep(0.1)
         for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
             scene = sample_scene(number, posture=posture, task=task)
             row = act_out(env, policy, scene, lambda *what: live.show(env.episode, *what))
@@ -55,28 +60,13 @@ def watch(
             time.sleep(PAUSE)
 
 
-def _check_port(port: int) -> None:
-    """Refuse a port that cannot be served on; viser would take the next one without a word."""
-    try:
-        socket.create_server(("127.0.0.1", port)).close()
-    except (OSError, OverflowError) as error:
-        raise UserError(f"--port: {port} cannot be served on: {error}") from None
-
-
 class LiveView:
     """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Begin with the empty scene of a server, which serves the page."""
         self._server, self._spectator = server, Spectator()
         self._actors: Actors | None = None
         self._due = 0.0
-
-    def wait_for_somebody(self, seconds: float) -> None:
-        """Wait until the page is open in a browser, or so many seconds are over."""
-        end = time.monotonic() + seconds
-        while not self._server.get_clients() and time.monotonic() < end:
-            time.sleep(0.1)
 
     def show(self, episode: Any, subgoals: NDArray[Any] | None = None, words: str = "") -> None:
         """Show where everything is now, when it is time for it; see ``Spectator.look``."""

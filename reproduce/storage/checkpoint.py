@@ -71,7 +71,14 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     """Restore learners and random states; ``UserError`` without a whole checkpoint of this configuration."""
     path = folder / CHECKPOINT
     tensors = read_tensors(path, LARGEST)
-    meta = _read_meta(path)
+    with safe_open(path, framework="pt") as file:
+        text = (file.metadata() or {}).get("meta", "")
+    try:
+        meta = json.loads(text)
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict) or meta.get("version") != VERSION or not isinstance(meta.get("config"), dict):
+        raise UserError(f"{path}: not a checkpoint of version {VERSION}")
     if changes := differences(meta["config"], config):
         raise UserError(f"{path}: was made with another configuration: {', '.join(changes[:3])}")
     try:
@@ -84,18 +91,6 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     except (KeyError, TypeError, RuntimeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise UserError(f"{path}: does not fit this training: {' '.join(str(error).split()):.300}") from None
     return progress
-
-
-def _read_meta(path: Path) -> dict[str, Any]:
-    with safe_open(path, framework="pt") as file:
-        text = (file.metadata() or {}).get("meta", "")
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError):
-        meta = None
-    if not isinstance(meta, dict) or meta.get("version") != VERSION or not isinstance(meta.get("config"), dict):
-        raise UserError(f"{path}: not a checkpoint of version {VERSION}")
-    return meta
 
 
 def _under(name: str, tensors: Mapping[str, th.Tensor]) -> dict[str, th.Tensor]:

@@ -29,11 +29,7 @@ def provenance() -> dict[str, Any]:
         "environment_version": ENVIRONMENT_VERSION,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
-        "machine": {
-            "system": platform.system(),
-            "processor": _processor(),
-            "cores": len(os.sched_getaffinity(0)),
-        },
+        "machine": {"system": platform.system(), "processor": _processor(), "cores": len(os.sched_getaffinity(0))},
         "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     }
 
@@ -84,5 +80,5 @@ def commit(root: Path = INSTALLED) -> str:
 
 def _processor() -> str:
     path = Path("/proc/cpuinfo")
-    found = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
-    return found[1].strip() if found else platform.machine()
+    name = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
+    return name[1].strip() if name else platform.machine()

@@ -1,7 +1,7 @@
 """Checked records of ``lunar_rescue.scenes.records`` as plain data for files, and what differs between two of them."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -17,9 +17,8 @@ Record = TypeVar("Record")
 Units = Annotated[int, Field(ge=1, le=4096)]
 
 
-def to_dict(record: Any) -> dict[str, Any]:
-    """Return a record as plain data that JSON can hold."""
-    return asdict(record)
+#: Returns a record as plain data that JSON can hold.
+to_dict: Callable[[Any], dict[str, Any]] = asdict
 
 
 def from_dict(kind: type[Record], raw: Any, where: str) -> Record:

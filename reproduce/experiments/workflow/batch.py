@@ -129,15 +129,10 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
 
 def _write_timings(jobs: list[Job], out: Path) -> None:
     """Write ``timings.csv``: seconds of each step, as Snakemake measured them."""
-    rows = [(job.rule, job.name, job.output, _seconds(out / f"timings/{job.label}.tsv")) for job in jobs]
+    files = {job.label: out / f"timings/{job.label}.tsv" for job in jobs}
+    seconds = {label: pd.read_csv(file, sep="\t")["s"].iloc[-1] for label, file in files.items() if file.is_file()}
+    rows = [(job.rule, job.name, job.output, seconds.get(job.label)) for job in jobs]
     write_table(out / "timings.csv", pd.DataFrame(rows, columns=["rule", "step", "output", "seconds"]))
-
-
-def _seconds(path: Path) -> float | None:
-    try:
-        return float(pd.read_csv(path, sep="\t")["s"].iloc[-1])
-    except (OSError, ValueError, KeyError, IndexError):
-        return None
 
 
 def _what_failed(failed: list[Job], code: int, out: Path, begun: float) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from dataclasses import field
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 from pydantic.dataclasses import dataclass
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.experiments.evaluations import EVALUATIONS, TESTS, evaluations_of
+from reproduce.experiments.evaluations import evaluations_of
 from reproduce.experiments.methods import METHODS, get_method
 from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
@@ -75,10 +74,6 @@ class Plan:
         """Return each method with each of its seeds; a method that does not learn has seed 0 alone."""
         return [(m, s) for m in self.methods for s in (self.seeds if self.learns(m) else (0,))]
 
-    def tests(self, check: str) -> int:
-        """Return the number of scenes of an evaluation."""
-        return TESTS[self.preset][EVALUATIONS[check].few]
-
     def policies(self) -> list[str]:
         """Return the files that say that a training has ended."""
         return [f"{folder(m, s)}/run.json" for m, s in self.runs() if self.learns(m)]
@@ -128,8 +123,3 @@ def parse_seeds(text: str) -> list[int]:
             raise UserError(f"--seeds: expected a range upwards of at most {MOST_SEEDS} seeds; got {part.strip()!r}")
         seeds += range(low, high + 1)
     return seeds
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
