@@ -38,13 +38,13 @@ def train(
     from reproduce.experiments.train import train as run
     from reproduce.experiments.train import train_as_needed
 
-    chosen = get_method(method)
-    config = chosen.config(preset)
+    entry = get_method(method)
+    config = entry.config(preset)
     config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
     if as_needed:
-        train_as_needed(chosen, config, seed, out, preset)
+        train_as_needed(entry, config, seed, out, preset)
     else:
-        run(chosen, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
+        run(entry, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
     typer.echo(f"{out}: trained {method} for {config.steps} steps")
 
 

@@ -109,13 +109,13 @@ def reaches(pool: Pool, level: float) -> Part:
 def returns_more(first: Pool, second: Pool, times: float = 1.0) -> Part:
     """Judge whether the first one's return in the end is more than so many times the second's."""
     factor = "" if times == 1.0 else f" and {times:g} times as much"
-    words = f"return in the end: {_listed(first, first.returns, 2)}, {_listed(second, second.returns, 2)}{factor}"
+    words = f"return in the end: {_values(first, first.returns, 2)}, {_values(second, second.returns, 2)}{factor}"
     return Part(words, _above(first.returns, [times * value for value in second.returns]))
 
 
 def converges_faster(first: Pool, second: Pool) -> Part:
     """Judge whether the first converges in fewer environment steps."""
-    words = f"env steps to converge: {_listed(first, first.steps)}, {_listed(second, second.steps)}"
+    words = f"env steps to converge: {_values(first, first.steps)}, {_values(second, second.steps)}"
     return Part(words, _above(second.steps, first.steps))
 
 
@@ -128,7 +128,7 @@ def _above(high: Sequence[float | None], low: Sequence[float | None]) -> bool | 
     return _lies(above=ours.min() - theirs.max() > margin, below=theirs.min() - ours.max() > margin)
 
 
-def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
+def _values(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
     numbers = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
     return f"{pool.method} {numbers or 'no curve'}"
 
@@ -136,8 +136,8 @@ def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
 def converges_in_a_share(first: Pool, second: Pool) -> Part:
     """Judge as ``converges_faster``; the figure is the ratio of mean steps, None where one has not converged."""
     steps = [np.array(pool.steps, dtype=float) for pool in (first, second)]
-    known = all(each.size and not np.isnan(each).any() for each in steps)
-    ratio = float(steps[0].mean() / steps[1].mean()) if known else None
+    both_converge = all(each.size and not np.isnan(each).any() for each in steps)
+    ratio = float(steps[0].mean() / steps[1].mean()) if both_converge else None
     return replace(converges_faster(first, second), figures={"measured": ratio, "low": None, "high": None})
 
 
@@ -154,9 +154,9 @@ def serves_every_posture(pool: Pool) -> Part:
     counts = pool.rows.groupby("posture")["success"].agg(["mean", "sum", "size"])
     name = min(counts.index, key=lambda posture: (counts["mean"][posture], posture))
     rate, (low, high) = float(counts["mean"][name]), wilson(int(counts["sum"][name]), int(counts["size"][name]))
-    served = low >= SERVED and set(counts.index) == set(postures())
+    serves_all = low >= SERVED and set(counts.index) == set(postures())
     words, figures = f"weakest posture {name}: {percent(rate, (low, high))}", dict(measured=rate, low=low, high=high)
-    return Part(words, _lies(above=served, below=high < SERVED), figures)
+    return Part(words, _lies(above=serves_all, below=high < SERVED), figures)
 
 
 #: What ``claims.yaml`` may name.
@@ -165,8 +165,8 @@ RULES: dict[str, Callable[..., Part]] = {rule.__name__: rule for rule in (*_RULE
 
 
 def _enough(pool: Pool, one_training: bool) -> bool:
-    trained = one_training or (len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS)
-    return trained and len(pool.rows) >= ENOUGH_TESTS * (1 if one_training else len(pool.runs))
+    enough_training = one_training or (len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS)
+    return enough_training and len(pool.rows) >= ENOUGH_TESTS * (1 if one_training else len(pool.runs))
 
 
 def judge(claim: Claim, parts: list[Part], pools: list[Pool]) -> Claim:
@@ -195,7 +195,7 @@ def judge(claim: Claim, parts: list[Part], pools: list[Pool]) -> Claim:
 
 def compute_claims(results: Path = RESULTS) -> list[Claim]:
     """Return all claims in order, with their verdicts."""
-    pools, judged = read_pools(results), []
+    pools, verdicts = read_pools(results), []
     for entry in yaml.safe_load(CLAIMS.read_text(encoding="utf-8")):
         methods, rules = entry.pop("methods", []), entry.pop("parts", [])
         claim = Claim(**entry)
@@ -205,8 +205,8 @@ def compute_claims(results: Path = RESULTS) -> list[Claim]:
         elif methods:
             parts = [RULES[name](*(pools.get(argument, argument) for argument in rest)) for name, *rest in rules]
             claim = judge(claim, parts, [pools[method] for method in methods])
-        judged.append(claim)
-    return judged
+        verdicts.append(claim)
+    return verdicts
 
 
 def write_claims(claims: list[Claim], path: Path | None = None) -> Path:

@@ -39,12 +39,12 @@ def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
 
 def grounds(count: int = 4, first_seed: int = 0) -> Figure:
     """Draw unstructured ground: level, then rough from gentle to steep, with rocks."""
-    drawn = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
-    level = next(scene for scene in drawn if not scene.terrain.rough)
-    rough = sorted((scene for scene in drawn if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
+    scenes = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
+    level = next(scene for scene in scenes if not scene.terrain.rough)
+    rough = sorted((scene for scene in scenes if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
     steps = np.linspace(0, len(rough) - 1, count - 1).round().astype(int)
-    titled = [("level", level)] + [(f"slope {rough[i].terrain.slope:.0f}°", rough[i]) for i in steps]
-    return picture_grid(first_pictures([(f"{t}, {len(s.rocks)} rocks", s) for t, s in titled], size=(480, 352)), count)
+    panels = [("level", level)] + [(f"slope {rough[i].terrain.slope:.0f}°", rough[i]) for i in steps]
+    return picture_grid(first_pictures([(f"{t}, {len(s.rocks)} rocks", s) for t, s in panels], size=(480, 352)), count)
 
 
 def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> NDArray[np.uint8]:
@@ -180,8 +180,8 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
 def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
     """Draw a heat map of success [%] over postures and tasks; ``tested`` has each column's rows by its title."""
     rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
-    known = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
-    rates = 100 * rates.reindex([pair for pair in known if pair in rates.index])
+    pairs = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
+    rates = 100 * rates.reindex([pair for pair in pairs if pair in rates.index])
     rates.index = pd.Index([f"{posture} {task}".replace("_", " ") for posture, task in rates.index])
     figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(

@@ -41,5 +41,5 @@ def dwelling_table(beta: float, gamma: float, max_steps: int, factor: float = 1.
 
 def largest_honest_beta(gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
     """Return the largest beta at which finishing in step ``after`` beats dwelling to the limit in the literal form."""
-    lost = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
-    return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / lost
+    loss = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
+    return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / loss

@@ -116,18 +116,18 @@ def read_evaluation(path: Path, method: str) -> tuple[dict[str, Any], pd.DataFra
     _expect(path, expected, summary)
     _expect(path, {"environment_version": ENVIRONMENT_VERSION}, summary["origin"])
     for key, value in summarise(rows).items():
-        written = summary.get(key)
-        numbers = isinstance(value, float) and isinstance(written, int | float)
-        if not (math.isclose(written, value, rel_tol=1e-9) if numbers else written == value):
-            raise UserError(f"{path}: {key}: expected {value}, as {path.stem}.csv has it, got {written!r}")
+        entry = summary.get(key)
+        numbers = isinstance(value, float) and isinstance(entry, int | float)
+        if not (math.isclose(entry, value, rel_tol=1e-9) if numbers else entry == value):
+            raise UserError(f"{path}: {key}: expected {value}, as {path.stem}.csv has it, got {entry!r}")
     return summary, rows
 
 
 def _expect(path: Path, expected: dict[str, Any], data: dict[str, Any]) -> None:
     for key, value in expected.items():
         if data.get(key) != value:
-            wanted = "none" if value is None else value
-            raise UserError(f"{path}: {key}: expected {wanted}, got {data.get(key, 'none')!r}")
+            words = "none" if value is None else value
+            raise UserError(f"{path}: {key}: expected {words}, got {data.get(key, 'none')!r}")
 
 
 def reference_runs(results: Path = RESULTS, kind: str = REFERENCE) -> list[Run]:

@@ -22,7 +22,7 @@ COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
 COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
 SPLIT_TITLES = {"test": "evaluation", "held out": "heldout"}
 MASS_CLASSES = 3  # equal parts of the range of masses
-_listed = ", ".join
+_join = ", ".join
 
 
 def table1(results: Path = RESULTS) -> pd.DataFrame:
@@ -50,12 +50,12 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
             {
                 "method": method.title,
                 "paper, 1000 tests": _percent(method.paper_success) if method.paper_success else "-",
-                "ours, success [95 % interval]": _listed(_success(run.evaluation) for run in mine)
+                "ours, success [95 % interval]": _join(_success(run.evaluation) for run in mine)
                 or "no run in results/ yet",
-                "held out": _listed(_success(run.summary("heldout")) for run in mine),
-                "tests": _listed(str(run.evaluation["tests"]) for run in mine if run.evaluation),
-                "env steps": _listed(f"{run.env_steps:,}" for run in mine),
-                "minutes": _listed(f"{run.minutes:.0f}" for run in mine),
+                "held out": _join(_success(run.summary("heldout")) for run in mine),
+                "tests": _join(str(run.evaluation["tests"]) for run in mine if run.evaluation),
+                "env steps": _join(f"{run.env_steps:,}" for run in mine),
+                "minutes": _join(f"{run.minutes:.0f}" for run in mine),
             }
         )
     return pd.DataFrame(rows)
@@ -79,11 +79,11 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
 
     ``to`` is compared by its first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _paired(results, to, name)]
+    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _pairs(results, to, name)]
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
 
 
-def _paired(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
+def _pairs(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
     """Return runs of other methods that met the same scenes, how many, and the difference with its interval."""
     tests = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
     own = next((rows for run, rows in tests if run.method == to), None)
@@ -101,7 +101,7 @@ def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.Dat
             f"{METHODS[run.method].title}, seed {run.seed}": "{:+.1f} [{:+.1f}, {:+.1f}]".format(
                 *(100 * value for value in difference)
             )
-            for run, _, difference in _paired(results, to, name)
+            for run, _, difference in _pairs(results, to, name)
         }
         for title, name in SPLIT_TITLES.items()
     }

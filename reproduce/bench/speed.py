@@ -127,21 +127,21 @@ class Episodes:
 
         A scene is drawn within the time of the reset, as in training; only then is its ground known.
         """
-        begun = time.perf_counter()
+        start = time.perf_counter()
         _, info = self._reset()
-        resetting = time.perf_counter() - begun
+        resetting = time.perf_counter() - start
         tally = tally_of(info)
         if tally is None:
             return
         tally.resetting, tally.resets = tally.resetting + resetting, tally.resets + 1
-        self.inside, done, number = 0.0, False, 0
-        while not done and number < self._longest:
+        self.inside, over, number = 0.0, False, 0
+        while not over and number < self._longest:
             if number % self._hold == 0:
                 action = self._sample()
-            begun = time.perf_counter()
+            start = time.perf_counter()
             *_, terminated, truncated, _ = self._step(action)
-            tally.stepping += time.perf_counter() - begun
-            number, done = number + 1, terminated or truncated
+            tally.stepping += time.perf_counter() - start
+            number, over = number + 1, terminated or truncated
         tally.steps, tally.inside = tally.steps + number, tally.inside + self.inside
 
 
@@ -150,12 +150,12 @@ def our_episodes(stack: ExitStack) -> Episodes:
     env = stack.enter_context(closing(LunarRescueEnv()))
     seeds, rng, advance = itertools.count(FIRST_SEED), np.random.default_rng(0), env.simulation.advance
 
-    def timed(substeps: int) -> None:
-        begun = time.perf_counter()
+    def advance_and_time(substeps: int) -> None:
+        start = time.perf_counter()
         advance(substeps)
-        episodes.inside += time.perf_counter() - begun
+        episodes.inside += time.perf_counter() - start
 
-    env.simulation.advance = timed  # type: ignore[method-assign]
+    env.simulation.advance = advance_and_time  # type: ignore[method-assign]
     reset, sample = (lambda: env.reset_flat(next(seeds))), partial(rng.uniform, -1, 1, JOINTS)
     episodes = Episodes(reset, env.step_flat, sample, HOLD, MAX_STEPS)
     return episodes
@@ -181,12 +181,12 @@ def bare_episodes(env: gymnasium.Env[Any, Any], longest: int) -> Episodes:
 def _all_environments(venv: WorkerVecEnv, rng: np.random.Generator) -> float:
     """Return steps a second of all environments together, resets included, as a training sees them."""
     actions: NDArray[np.float32]
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for step in range(MAX_STEPS):
         if step % HOLD == 0:
             actions = rng.uniform(-1, 1, (venv.num_envs, JOINTS)).astype(np.float32)
         venv.step(actions)
-    return MAX_STEPS * venv.num_envs / (time.perf_counter() - begun)
+    return MAX_STEPS * venv.num_envs / (time.perf_counter() - start)
 
 
 def environment_figures(rounds: list[Round]) -> dict[str, Any]:

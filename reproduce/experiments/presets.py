@@ -48,7 +48,7 @@ def changed(config: Config, changes: Changes) -> Config:
         owner: Any = getattr(config, section, None) if section else config
         if not is_dataclass(owner) or name not in {field.name for field in fields(owner)}:
             raise ValueError(f"expected the name of a field, or of a section and a field, got {where!r}")
-        edited: Any = replace(owner, **{name: value})  # type: ignore[type-var]
-        whole: Any = replace(config, **{section: edited}) if section else edited
+        part: Any = replace(owner, **{name: value})  # type: ignore[type-var]
+        whole: Any = replace(config, **{section: part}) if section else part
         config = whole
     return config

@@ -136,15 +136,15 @@ class _Run:
 
     def check(self, resume: bool) -> None:
         """Refuse what cannot be begun, or gone on with, in the folder as it is."""
-        folder, begun, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
+        folder, config, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
         if (folder / "run.json").exists():
             advice = "nothing is left to resume" if resume else "choose another --out"
             raise UserError(f"{folder}: holds a finished run; {advice}")
         if not resume and checkpoint:
             raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
-        if resume and not begun and not checkpoint:
+        if resume and not config and not checkpoint:
             raise UserError(f"{folder}: no checkpoint to resume from")
-        if resume and begun and (changes := self.changes()):
+        if resume and config and (changes := self.changes()):
             raise UserError(f"{folder}: --resume with another configuration: {', '.join(changes[:3])}")
 
     def train(self, tensorboard: Path | None = None) -> pd.DataFrame:
@@ -180,13 +180,13 @@ class _Run:
         training.restart(self.saved.update)
 
     def _loop(self, training: Training, writer: Any) -> None:
-        total, begun = self.config.steps, time.monotonic() - self.progress.seconds
+        total, start = self.config.steps, time.monotonic() - self.progress.seconds
         looks: dict[str, Any] = {"unit": "step", "unit_scale": True, "desc": self.method.name}
         with tqdm(total=total, initial=self.progress.steps, disable=self.quiet, **looks) as bar:
             while self.progress.steps < total:
                 row = training.update(self.progress.steps)
                 update, steps = self.progress.update + 1, self.progress.steps + training.steps_per_update
-                seconds = time.monotonic() - begun
+                seconds = time.monotonic() - start
                 self.progress = Progress(update, steps, seconds)
                 row = {"seconds": round(seconds, 2), **row}
                 self.rows.append({"update": update, "env_steps": steps, **row})
@@ -204,8 +204,8 @@ class _Run:
         self._write_rows()
         save_policy(self.folder, self.method.name, training.networks(), training.config.policy)
         summary = {"method": self.method.name, "seed": self.seed, "preset": self.preset, **origin}
-        done = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
-        write_json(self.folder / "run.json", {**summary, **done})  # last: a folder that holds it is a finished run
+        totals = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
+        write_json(self.folder / "run.json", {**summary, **totals})  # last: a folder that holds it is a finished run
         (self.folder / CHECKPOINT).unlink(missing_ok=True)
 
     def _write_rows(self) -> None:

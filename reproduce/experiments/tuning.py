@@ -101,5 +101,5 @@ def tuning_table(results: Path = COMMITTED) -> pd.DataFrame:
     tables = {title: pd.read_csv(path).set_index("trial") for title, path in paths.items() if path.is_file()}
     if not tables:
         return pd.DataFrame(columns=columns)
-    table, chosen = pd.concat(tables, names=["method"]), {(METHODS[m].title, trial) for m, trial in CHOSEN.items()}
-    return table.assign(chosen=["x" if row in chosen else "" for row in table.index])[columns]
+    table, choices = pd.concat(tables, names=["method"]), {(METHODS[m].title, trial) for m, trial in CHOSEN.items()}
+    return table.assign(chosen=["x" if row in choices else "" for row in table.index])[columns]

@@ -75,13 +75,13 @@ class Spectator:
         if new:
             self.robot = self._stage.stage.visual_shapes(self._stage.robot)
         links = nearest_links(episode.robot.points, episode.marks) if len(episode.marks) else []
-        known = subgoals is not None and np.isfinite(subgoals).all()
+        has_subgoals = subgoals is not None and np.isfinite(subgoals).all()
         moment = Moment(
             self._stage.stage.link_poses(self._stage.robot),
             suit_pose(episode),
             episode.robot.ends.copy(),
             episode.targets().copy(),
-            subgoals_in_scene(episode, np.asarray(subgoals)) if known else None,
+            subgoals_in_scene(episode, np.asarray(subgoals)) if has_subgoals else None,
             [(_line(link), near_colour(link.distance)) for link in links],
             "\n".join(caption(episode, words)),
         )
@@ -181,8 +181,8 @@ class Actors:
         frames = {link: self._scene.add_frame(name, show_axes=False) for link, name in names.items()}
         for index, shape in enumerate(robot):
             solid = _solid(shape)
-            placed = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
-            self._mesh(f"{names[shape.link]}/shape{index}", placed, np.asarray(solid.faces), shape.colour)
+            vertices = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
+            self._mesh(f"{names[shape.link]}/shape{index}", vertices, np.asarray(solid.faces), shape.colour)
         return frames
 
 

@@ -87,10 +87,10 @@ def film(
 
 def strip(frames: list[Picture], count: int = STRIP_PICTURES, columns: int = 4) -> Picture:
     """Some of the pictures, evenly spaced in time, side by side with a thin gap, read row by row."""
-    chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]
-    chosen += [np.full_like(frames[0], 255)] * (-count % columns)
-    framed = [np.pad(frame, ((0, 4), (0, 4), (0, 0)), constant_values=255) for frame in chosen]
-    rows = [np.hstack(framed[i : i + columns]) for i in range(0, len(framed), columns)]
+    moments = [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]
+    moments += [np.full_like(frames[0], 255)] * (-count % columns)
+    tiles = [np.pad(frame, ((0, 4), (0, 4), (0, 0)), constant_values=255) for frame in moments]
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
     return np.vstack(rows)[:-4, :-4]
 
 
@@ -114,8 +114,8 @@ def _palette(picture: Picture) -> Image.Image:
     """A palette of 256 colours in which the many greys of the ground leave room for arms, suit and overlay."""
     pixels = picture.reshape(-1, 3)
     vivid = np.ptp(pixels, axis=1) > 30
-    chosen = np.concatenate([pixels[vivid], pixels[~vivid][::12]])
-    return Image.fromarray(chosen[None]).quantize(256)
+    sample = np.concatenate([pixels[vivid], pixels[~vivid][::12]])
+    return Image.fromarray(sample[None]).quantize(256)
 
 
 def _in(palette: Image.Image, picture: Picture) -> Image.Image:

@@ -42,14 +42,14 @@ def fill_in(page: str, pieces: dict[str, str]) -> str:
 def mark_mathematics(text: str, pieces: dict[str, str], prefix: str) -> str:
     """Replace $...$ and $$...$$ outside code by marks for MathML, which browsers render by themselves."""
 
-    def marked(match: re.Match[str]) -> str:
+    def put_mark(match: re.Match[str]) -> str:
         if match.lastgroup is None:  # code
             return match[0]
         mark, display = f"@@{prefix}math{len(pieces)}@@", match.lastgroup
         pieces[mark] = str(convert(match[display].strip(), display=display)).replace("\n", " ")
         return f"\n\n{mark}\n\n" if display == "block" else mark
 
-    return _CODE_OR_MATHEMATICS.sub(marked, text)
+    return _CODE_OR_MATHEMATICS.sub(put_mark, text)
 
 
 def notebook_page(path: Path) -> Page:

@@ -33,10 +33,10 @@ def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[N
     if not paths:
         raise UserError(f"{sources}: no notebooks there; they need a checkout of the project")
     if only is not None:
-        known = ", ".join(path.stem for path in paths)
+        names = ", ".join(path.stem for path in paths)
         paths = [path for path in paths if only in (path.stem, path.stem[:2])]
         if not paths:
-            raise UserError(f"--only: expected a number or name of {known}; got {only!r}")
+            raise UserError(f"--only: expected a number or name of {names}; got {only!r}")
     return [Notebook(path, _defaults(path)) for path in paths]
 
 
@@ -68,11 +68,11 @@ def parse_assignments(assignments: list[str]) -> dict[str, Any]:
 def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the parameters of each notebook by its name; refuse names that none of them has, and wrong values."""
     check_value("preset", preset, preset)
-    known = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
+    defaults = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
     for name, value in given.items():
-        if name not in known:
-            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(known))}")
-        check_value(name, value, known[name])
+        if name not in defaults:
+            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(defaults))}")
+        check_value(name, value, defaults[name])
     everything = {"preset": preset, **given}
     return {n.path.stem: {name: everything[name] for name in n.defaults if name in everything} for n in notebooks}
 
@@ -168,14 +168,14 @@ def is_complete(path: Path) -> bool:
     meta, cells = _read(path)
     # A cell that raises SystemExit ends a notebook with exit code 0 and the rest not run; and papermill calls cells
     # completed that a dead kernel never began.
-    completed = all(cell.get("status") == "completed" and cell.get("start_time") for cell in cells)
-    return not meta.get("exception") and bool(meta.get("end_time")) and completed
+    complete = all(cell.get("status") == "completed" and cell.get("start_time") for cell in cells)
+    return not meta.get("exception") and bool(meta.get("end_time")) and complete
 
 
 def _read(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return what papermill noted of an output notebook and of each code cell of its source."""
     document = nbformat.read(path, as_version=4)
-    added = {"injected-parameters", "papermill-error-cell-tag"}
+    papermill_tags = {"injected-parameters", "papermill-error-cell-tag"}
     code = [cell.metadata for cell in document.cells if cell.cell_type == "code" and cell.source.strip()]
-    cells = [meta.get("papermill", {}) for meta in code if not added & set(meta.get("tags", []))]
+    cells = [meta.get("papermill", {}) for meta in code if not papermill_tags & set(meta.get("tags", []))]
     return document.metadata.get("papermill", {}), cells

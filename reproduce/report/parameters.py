@@ -51,6 +51,6 @@ def check(namespace: dict[str, Any], *names: str) -> None:
     if not namespace.get(_CHECKED):
         brought = namespace["get_ipython"]().user_ns_hidden if "get_ipython" in namespace else {}
         public = {name for name, value in namespace.items() if name[0] != "_" and isinstance(value, _PLAIN)}
-        if unknown := sorted(public.difference(names, brought)):
-            raise UserError(f"{unknown[0]}: no parameter of this notebook; expected {', '.join(names)}")
+        if strangers := sorted(public.difference(names, brought)):
+            raise UserError(f"{strangers[0]}: no parameter of this notebook; expected {', '.join(names)}")
     namespace[_CHECKED] = True

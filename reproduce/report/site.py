@@ -42,8 +42,8 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
     results.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".report-", dir=results) as name:
         sources, site = Path(name) / "sources", Path(name) / "site"
-        executed = (path for path in notebook_files(notebooks) if not path.stem.endswith(".failed"))
-        pages = {path.stem: notebook_page(path) for path in executed}
+        outputs = (path for path in notebook_files(notebooks) if not path.stem.endswith(".failed"))
+        pages = {path.stem: notebook_page(path) for path in outputs}
         clips = choose_clips(runs) if replays else []
         endings = make_clips(clips, sources / REPLAYS) if clips else {}
         texts = _texts(pages, endings, runs, results)
@@ -87,8 +87,8 @@ def _policy_file(run: Run) -> str:
 
 def _local_links(text: str) -> str:
     """Turn links to files that the site does not have into plain words."""
-    known = "|".join(map(re.escape, (f"{name}.md" for name in DOCUMENTS)))
-    return re.sub(rf"(?<!!)\[([^\]]+)\]\((?!https?:|#|(?:{known})(?:#|\)))[^)]*\)", r"\1", text)
+    pages = "|".join(map(re.escape, (f"{name}.md" for name in DOCUMENTS)))
+    return re.sub(rf"(?<!!)\[([^\]]+)\]\((?!https?:|#|(?:{pages})(?:#|\)))[^)]*\)", r"\1", text)
 
 
 def _navigation(texts: dict[str, str], runs: list[Run]) -> list[dict[str, Any]]:
@@ -112,8 +112,8 @@ def _build(sources: Path, site: Path, navigation: list[dict[str, Any]]) -> None:
     os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")
     folders = {"docs_dir": str(sources), "site_dir": str(site)}
     build(load_config(str(CONFIGURATION), nav=navigation, copyright=f"Made by {now['command']}, {origin}", **folders))
-    for left in FOR_SERVERS:
-        (site / left).unlink(missing_ok=True)
+    for name in FOR_SERVERS:
+        (site / name).unlink(missing_ok=True)
 
 
 def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:

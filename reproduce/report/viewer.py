@@ -107,16 +107,16 @@ def choose_clips(runs: list[Run]) -> list[Clip]:
             for seed in rows["seed"][rows["success"] == success].head(1).tolist():
                 name = f"{run.method}-{run.seed}-{word}.html"
                 clips.append(Clip(title, f"{word}: scene {seed}", _where(run), seed, name))
-    shown = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)
-    where, who = (_where(shown), METHODS["hrl_dcs"].title) if shown else ("scripted", METHODS["scripted"].title)
-    wanted = set(postures())
+    hrl_dcs = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)
+    where, who = (_where(hrl_dcs), METHODS["hrl_dcs"].title) if hrl_dcs else ("scripted", METHODS["scripted"].title)
+    missing = set(postures())
     for seed in range(MOST_SCENES):
         scene = sample_scene(seed)
-        if scene.posture in wanted:
-            wanted.discard(scene.posture)
+        if scene.posture in missing:
+            missing.discard(scene.posture)
             label = f"{scene.posture.replace('_', ' ')} ({scene.task.replace('_', ' ')}, scene {seed})"
             clips.append(Clip(f"The 20 postures, {who}", label, where, seed, f"posture-{scene.posture}.html"))
-        if not wanted:
+        if not missing:
             break
     return clips
 

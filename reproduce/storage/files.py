@@ -54,8 +54,8 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 def is_stream(path: Path) -> bool:
     """Return whether a path is no regular file, or a shell's redirection, so that nothing can lie beside it."""
-    named = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
-    return path.exists() and (named or not path.is_file())
+    is_redirection = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
+    return path.exists() and (is_redirection or not path.is_file())
 
 
 def _replace(path: Path, write: Callable[[Path], object]) -> None:

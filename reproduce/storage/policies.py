@@ -91,9 +91,9 @@ def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: t
     for level, network in networks.items():
         fill(network, tensors, weights, level)
         network.set_training_mode(False)
-    known = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
-    if unknown := sorted(set(tensors).difference(known)):
-        raise UserError(f"{weights}: unknown tensor {unknown[0]!r}")
+    names = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
+    if strangers := sorted(set(tensors).difference(names)):
+        raise UserError(f"{weights}: unknown tensor {strangers[0]!r}")
     return networks
 
 
@@ -117,11 +117,11 @@ def read_tensors(path: Path, most: int = LARGEST_WEIGHTS) -> dict[str, th.Tensor
 def fill(network: th.nn.Module, tensors: Mapping[str, th.Tensor], path: Path, level: str) -> None:
     """Copy the tensors of a level into its network; names, shapes and types must be right."""
     state = network.state_dict()
-    for name, wanted in state.items():
+    for name, target in state.items():
         tensor = tensors.get(f"{level}.{name}")
         if tensor is None:
             raise UserError(f"{path}: {level}.{name} is missing")
-        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
-            expected, actual = (f"{tuple(t.shape)} {t.dtype}" for t in (wanted, tensor))
+        if tensor.shape != target.shape or tensor.dtype != target.dtype:
+            expected, actual = (f"{tuple(t.shape)} {t.dtype}" for t in (target, tensor))
             raise UserError(f"{path}: {level}.{name}: expected {expected}, got {actual}")
     network.load_state_dict({name: tensors[f"{level}.{name}"] for name in state})

@@ -38,8 +38,8 @@ def record_origin(path: Path) -> None:
     """Note in ``origins.json`` beside a file which command made it, for formats that cannot carry it themselves."""
     register, origin = path.parent / "origins.json", provenance()
     with locked(path.parent, "register of origins", name=".origins.lock", wait=True):
-        known = read_json(register, "register of origins") if register.is_file() else {}
-        write_json(register, {**known, path.name: origin})
+        entries = read_json(register, "register of origins") if register.is_file() else {}
+        write_json(register, {**entries, path.name: origin})
 
 
 def write_table(path: Path, table: pd.DataFrame) -> Path:
@@ -72,8 +72,8 @@ def commit(root: Path = INSTALLED) -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")
-        return git("rev-parse", "HEAD") + ("+changes" if changed else "")
+        edits = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")
+        return git("rev-parse", "HEAD") + ("+changes" if edits else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 

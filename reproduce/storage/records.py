@@ -32,8 +32,8 @@ def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
         raise UserError(f"{where}expected {kind.__name__}, got data nested too deeply") from None
     except ValueError as error:  # a record's own check does not know where it is
         raise UserError(f"{where}{str(error).removeprefix(where)}") from None
-    given = {path for path, _ in flat(raw)}
-    if missing := [path for path, _ in flat(to_dict(record)) if path not in given]:
+    paths = {path for path, _ in flat(raw)}
+    if missing := [path for path, _ in flat(to_dict(record)) if path not in paths]:
         raise UserError(f"{where}{missing[0]}: missing")
     return record
 

@@ -50,12 +50,12 @@ def run_batch(
         return
     with locked(out, "the batch", name=LOCK) as lock:
         write_json(out / "batch.json", asdict(plan))
-        begun = time.time()
+        start = time.time()
         code = _run(_command(out, out / "batch.json", options), out, lock, echo)
         jobs = plan.jobs(until)
-        failed = [job for job in jobs if not (out / job.output).is_file()]
-        if code or failed:
-            raise RunFailedError(_what_failed(failed, code, out, begun))
+        failures = [job for job in jobs if not (out / job.output).is_file()]
+        if code or failures:
+            raise RunFailedError(_what_failed(failures, code, out, start))
         _write_timings(jobs, out)
 
 
@@ -112,11 +112,11 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
         path = Path(scratch) / "batch.json"
         write_json(path, asdict(plan))
         command = [*_command(out if out.is_dir() else Path(scratch), path, options), "--dry-run"]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RunFailedError(f"batch: Snakemake ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
+        result = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise RunFailedError(f"batch: Snakemake ended with code {result.returncode}: {result.stderr.strip()[-400:]}")
     steps = 0
-    for line in map(str.strip, (done.stdout + done.stderr).splitlines()):
+    for line in map(str.strip, (result.stdout + result.stderr).splitlines()):
         kind, _, rest = line.partition(": ")
         if kind == "output":
             steps += 1
@@ -135,14 +135,14 @@ def _write_timings(jobs: list[Job], out: Path) -> None:
     write_table(out / "timings.csv", pd.DataFrame(rows, columns=["rule", "step", "output", "seconds"]))
 
 
-def _what_failed(failed: list[Job], code: int, out: Path, begun: float) -> str:
+def _what_failed(failures: list[Job], code: int, out: Path, start: float) -> str:
     """Return the steps that ran and failed, each with the end of its log, and how many wait for them."""
-    logs = {job.name: out / f"logs/{job.label}.log" for job in failed}
-    faults = [f"{name}: {end} ({log})" for name, log in logs.items() if (end := _end_of_log(log, begun))]
-    waiting = len(failed) - len(faults)
+    logs = {job.name: out / f"logs/{job.label}.log" for job in failures}
+    faults = [f"{name}: {end} ({log})" for name, log in logs.items() if (end := _end_of_log(log, start))]
+    waiting = len(failures) - len(faults)
     if not faults:
         log = out / "logs" / "snakemake.log"
-        faults = [f"Snakemake ended with code {code}: {_end_of_log(log, begun)} ({log})"]
+        faults = [f"Snakemake ended with code {code}: {_end_of_log(log, start)} ({log})"]
     rest = f"; {waiting} steps wait for that" if waiting else ""
     return f"batch failed: {'; '.join(faults)}{rest}; the same command goes on from there"
 

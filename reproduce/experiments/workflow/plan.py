@@ -55,8 +55,8 @@ class Plan:
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
         """Plan the batch of some methods and seeds, in any order; an unknown preset or method is a UserError."""
-        wanted = {get_method(method).name for method in methods}
-        names = [name for name in METHODS if name in wanted]
+        selection = {get_method(method).name for method in methods}
+        names = [name for name in METHODS if name in selection]
         digests = {name: _digest(METHODS[name].config(preset)) for name in names}
         return cls(preset, tuple(names), tuple(sorted(set(seeds))), threads, ENVIRONMENT_VERSION, digests)
 
