@@ -1,5 +1,6 @@
 """The command line: ``reproduce`` or ``python -m reproduce``."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -37,13 +38,13 @@ def train(
     from reproduce.experiments.train import train as run
     from reproduce.experiments.train import train_as_needed
 
-    chosen = get_method(method)
-    config = chosen.config(preset)
+    entry = get_method(method)
+    config = entry.config(preset)
     config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
     if as_needed:
-        train_as_needed(chosen, config, seed, out, preset)
+        train_as_needed(entry, config, seed, out, preset)
     else:
-        run(chosen, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
+        run(entry, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
     typer.echo(f"{out}: trained {method} for {config.steps} steps")
 
 
@@ -115,12 +116,12 @@ def replay(
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
-    from reproduce.report.replay import parse_size
-    from reproduce.report.replay import replay as show
+    from reproduce.report.acting import ending
+    from reproduce.report.film import parse_size
+    from reproduce.report.film import replay as show
 
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
-    ended = "rescued" if row["success"] else f"failed by {row['failure']}"
-    typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ended} after {row['steps']} steps")
+    typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
 
 
 @app.command()
@@ -155,8 +156,7 @@ def notebooks(
     preset: console.Preset = "smoke",
     only: Annotated[str | None, typer.Option(help="number or name of one notebook, such as 02")] = None,
     parameter: Annotated[
-        list[str] | None,
-        typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME"),
+        list[str] | None, typer.Option("--parameter", "-p", help="NAME=VALUE for the notebooks that know NAME")
     ] = None,
     report: Annotated[bool, typer.Option(help="build the report afterwards")] = True,
     replays: console.Replays = True,
@@ -193,11 +193,12 @@ def batch(
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
     from reproduce.experiments.methods import METHODS
     from reproduce.experiments.workflow.batch import run_batch
-    from reproduce.experiments.workflow.plan import TARGETS, Plan, cores, parse_seeds
+    from reproduce.experiments.workflow.plan import TARGETS, Plan, parse_seeds
     from reproduce.storage.paths import RESULTS
 
-    slots = slots or max(1, cores() // 2)
-    threads = threads or max(1, cores() // slots)
+    cores = len(os.sched_getaffinity(0))
+    slots = slots or max(1, cores // 2)
+    threads = threads or max(1, cores // slots)
     names = list(METHODS) if methods == "all" else [name.strip() for name in methods.split(",")]
     out = out or RESULTS / "batch" / preset
     run_batch(Plan.make(preset, names, parse_seeds(seeds), threads), out, profile, slots, until, dry_run, typer.echo)

@@ -69,8 +69,8 @@ def run(app: typer.Typer) -> None:
         if getattr(sys, name) is None:  # closed; a file that is opened later must not be taken for it
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))
     if sys.version_info[:2] != (3, 11) or not sys.platform.startswith("linux"):
-        found = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {sys.platform}"
-        sys.exit(_complain(f"needs Python 3.11 on Linux, as PyBullet has no wheels beyond it; this is {found}"))
+        here = f"Python {sys.version_info[0]}.{sys.version_info[1]} on {sys.platform}"
+        sys.exit(_complain(f"needs Python 3.11 on Linux, as PyBullet has no wheels beyond it; this is {here}"))
     warnings.filterwarnings("ignore", category=UserWarning, module="gymnasium")
     logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
     with stop_signals() as stop:

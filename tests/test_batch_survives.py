@@ -78,7 +78,7 @@ def test_the_workflow_costs_little(tmp_path: Path) -> None:
     run_batch(plan, tmp_path, slots=2, until="policies", echo=lambda words: None)
     took = time.monotonic() - begun
     jobs = plan.jobs("policies")
-    alone = [float(pd.read_csv(tmp_path / job.timing, sep="\t")["s"].iloc[0]) for job in jobs]
+    alone = [float(pd.read_csv(tmp_path / f"timings/{job.label}.tsv", sep="\t")["s"].iloc[0]) for job in jobs]
     assert len(alone) == 8
     print(f"8 jobs: {took:.1f} s, half the sum {sum(alone) / 2:.1f} s, ratio {took / (sum(alone) / 2):.3f}")
     assert took <= 1.15 * sum(alone) / 2

@@ -78,7 +78,7 @@ def test_results_do_not_depend_on_workers_or_neighbours(run: Path) -> None:
 
 @pytest.mark.process
 def test_replay_writes_a_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("reproduce.report.replay.film", cache(film))  # the same rescue in each format
+    monkeypatch.setattr("reproduce.report.film.film", cache(film))  # the same rescue in each format
     for ending in (".mp4", ".gif", ".png"):
         out = tmp_path / f"rescue{ending}"
         done = call("replay", "scripted", "--seed", "0", "--out", str(out))
@@ -313,7 +313,7 @@ def test_configuration_survives_json_and_refuses_strangers() -> None:
         ("anchors", "patience", None, "config.anchors.patience: missing"),
     ):
         changed = {name: value for name, value in {**raw[part], field: value}.items() if value is not None}
-        with pytest.raises(ValueError) as error:
+        with pytest.raises(UserError) as error:
             from_dict(kind, {**raw, part: changed}, "config.")
         assert str(error.value) == words
 
@@ -333,7 +333,7 @@ def _notebook(folder: Path, source: str, parameters: str = "steps = 3\nname = 'a
 
 def test_every_notebook_has_a_parameters_cell_and_no_outputs() -> None:
     notebooks = find_notebooks()
-    assert [n.name[:2] for n in notebooks] == ["01", "02", "03", "04", "05", "06"]
+    assert [n.path.stem[:2] for n in notebooks] == ["01", "02", "03", "04", "05", "06"]
     for notebook in notebooks:
         assert "preset" in notebook.defaults
         document = nbformat.read(notebook.path, as_version=4)

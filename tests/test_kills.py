@@ -16,7 +16,7 @@ import pytest
 from command_line import without_progress  # type: ignore[import-not-found]
 from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
-from reproduce.storage.checkpoint import NAME
+from reproduce.storage.checkpoint import CHECKPOINT
 
 SCRIPT = Path(__file__).parent / "small_training.py"
 KILLS = 20
@@ -62,7 +62,7 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: tuple[str, float],
         process.kill()
         process.communicate()
         assert nobody_left(process.pid), "workers outlived a training that was killed"
-        resumed += (folder / NAME).is_file()
+        resumed += (folder / CHECKPOINT).is_file()
         if not (folder / "policy.json").is_file():  # else it had ended before the kill
             _finish(folder)
         assert _digest(folder) == expected, number
@@ -73,13 +73,13 @@ def test_twenty_kills_at_random_moments_change_nothing(whole: tuple[str, float],
 @pytest.mark.parametrize(
     ("number", "whole_group", "awaited"),
     [
-        pytest.param(signal.SIGINT, True, NAME, id="Ctrl-C"),
+        pytest.param(signal.SIGINT, True, CHECKPOINT, id="Ctrl-C"),
         pytest.param(
             signal.SIGINT, True, "config.json", id="Ctrl-C before the first checkpoint", marks=pytest.mark.slow
         ),
-        pytest.param(signal.SIGTERM, True, NAME, id="timeout", marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, False, NAME, id="SIGTERM", marks=pytest.mark.slow),
-        pytest.param(signal.SIGHUP, True, NAME, id="a closed terminal", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, True, CHECKPOINT, id="timeout", marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, CHECKPOINT, id="SIGTERM", marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, True, CHECKPOINT, id="a closed terminal", marks=pytest.mark.slow),
     ],
 )
 def test_an_interrupted_training_says_how_to_go_on_and_does(
@@ -93,7 +93,7 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(
     assert process.returncode == 128 + number
     assert nobody_left(process.pid)
     lines = without_progress(said)
-    where = r"update \d+" if awaited == NAME else "(update 2|the beginning)"
+    where = r"update \d+" if awaited == CHECKPOINT else "(update 2|the beginning)"
     assert len(lines) == 1, said
     assert re.fullmatch(rf"reproduce: .*/run: interrupted after update \d+; --resume .* goes on from {where}", lines[0])
     assert not (tmp_path / "run" / "policy.json").exists()
@@ -116,6 +116,6 @@ def test_a_second_training_in_one_folder_is_refused_at_once(tmp_path: Path) -> N
     first.communicate()
     assert nobody_left(first.pid)
     third = _start(tmp_path / "run")  # the lock went with the process that held it
-    assert wait_for((tmp_path / "run" / NAME).is_file)
+    assert wait_for((tmp_path / "run" / CHECKPOINT).is_file)
     third.kill()
     third.communicate()

@@ -71,7 +71,7 @@ def test_every_notebook_checks_its_own_parameters_first() -> None:
     for notebook in find_notebooks():
         code = [c for c in nbformat.read(notebook.path, as_version=4).cells if c.cell_type == "code"]
         names = ", ".join(f'"{name}"' for name in notebook.defaults)
-        assert f"check(globals(), {names})" in code[1].source, notebook.name
+        assert f"check(globals(), {names})" in code[1].source, notebook.path.stem
 
 
 def test_names_and_values_are_refused_before_anything_runs() -> None:

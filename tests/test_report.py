@@ -18,10 +18,9 @@ from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
 from reproduce.report.cards import card, export, reference_run
-from reproduce.report.gallery import choose_clips
 from reproduce.report.notebook import fill_in, notebook_page
 from reproduce.report.site import build_report
-from reproduce.report.viewer import LARGEST, record, write_replay
+from reproduce.report.viewer import LARGEST, choose_clips, record, write_replay
 from reproduce.storage.errors import UserError
 
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAQAAAC1HAwCAAAAC0lEQVR42mNkYAAAAAYAAjCB0C8AAAAASUVORK5CYII="

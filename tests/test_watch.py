@@ -16,7 +16,7 @@ import pytest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
 from reproduce.report import watch as module
-from reproduce.report.replay import replay
+from reproduce.report.film import replay
 from reproduce.report.viewer import viser_server
 from reproduce.report.watch import LiveView, watch
 from reproduce.storage.errors import UserError

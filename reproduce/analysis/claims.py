@@ -49,50 +49,29 @@ CLAIMS = Path(__file__).with_suffix(".yaml")  # what the paper claims, and the r
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim with its verdict.
+    """One claim of the paper with its verdict."""
 
-    Attributes:
-        id: C1 to C8.
-        statement: What the paper claims.
-        paper: Its figure.
-        measured: Ours, or None: a share of tests; C2 a ratio of environment steps, C6 seconds a test.
-        low: Lower end of the interval of ``measured``.
-        high: Upper end.
-        seeds: Training seeds behind it.
-        tests: Tests behind it, over all seeds.
-        env_steps: Environment steps a training.
-        verdict: See the module.
-        evidence: Where it comes from, in words with figures.
-    """
-
-    id: str
-    statement: str
-    paper: str
-    measured: float | None = None
-    low: float | None = None
+    id: str  # C1 to C8
+    statement: str  # what the paper claims
+    paper: str  # its figure
+    measured: float | None = None  # ours: a share of tests; C2 a ratio of environment steps, C6 seconds a test
+    low: float | None = None  # ends of the interval of ``measured``
     high: float | None = None
-    seeds: int = 0
-    tests: int = 0
-    env_steps: int = 0
-    verdict: str = "inconclusive"
-    evidence: str = ""
+    seeds: int = 0  # training seeds behind it
+    tests: int = 0  # over all seeds
+    env_steps: int = 0  # of the shortest training
+    verdict: str = "inconclusive"  # see the module
+    evidence: str = ""  # where it comes from, in words with figures
 
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that a claim says.
+    """One thing that a claim says."""
 
-    Attributes:
-        words: What was found, with figures.
-        holds: Whether it is so; None where the rule leaves it open.
-        figures: The claim's ``measured``, ``low`` and ``high``; without them it is the success of its first method.
-        one_training: Whether enough tests of one training decide it.
-    """
-
-    words: str
-    holds: bool | None
-    figures: dict[str, Any] = field(default_factory=dict)
-    one_training: bool = False
+    words: str  # what the runs show, with figures
+    holds: bool | None  # None where the rule leaves it open
+    figures: dict[str, Any] = field(default_factory=dict)  # of the claim; without them its first method's success
+    one_training: bool = False  # whether enough tests of one training decide it
 
 
 def succeeds_more(first: Pool, second: Pool) -> Part:
@@ -130,13 +109,13 @@ def reaches(pool: Pool, level: float) -> Part:
 def returns_more(first: Pool, second: Pool, times: float = 1.0) -> Part:
     """Judge whether the first one's return in the end is more than so many times the second's."""
     factor = "" if times == 1.0 else f" and {times:g} times as much"
-    words = f"return in the end: {_listed(first, first.returns, 2)}, {_listed(second, second.returns, 2)}{factor}"
+    words = f"return in the end: {_values(first, first.returns, 2)}, {_values(second, second.returns, 2)}{factor}"
     return Part(words, _above(first.returns, [times * value for value in second.returns]))
 
 
 def converges_faster(first: Pool, second: Pool) -> Part:
     """Judge whether the first converges in fewer environment steps."""
-    words = f"env steps to converge: {_listed(first, first.steps)}, {_listed(second, second.steps)}"
+    words = f"env steps to converge: {_values(first, first.steps)}, {_values(second, second.steps)}"
     return Part(words, _above(second.steps, first.steps))
 
 
@@ -149,16 +128,16 @@ def _above(high: Sequence[float | None], low: Sequence[float | None]) -> bool | 
     return _lies(above=ours.min() - theirs.max() > margin, below=theirs.min() - ours.max() > margin)
 
 
-def _listed(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
-    told = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
-    return f"{pool.method} {told or 'no curve'}"
+def _values(pool: Pool, values: Sequence[float | None], digits: int = 0) -> str:
+    numbers = ", ".join("none" if value is None else f"{value:,.{digits}f}" for value in values)
+    return f"{pool.method} {numbers or 'no curve'}"
 
 
 def converges_in_a_share(first: Pool, second: Pool) -> Part:
     """Judge as ``converges_faster``; the figure is the ratio of mean steps, None where one has not converged."""
     steps = [np.array(pool.steps, dtype=float) for pool in (first, second)]
-    known = all(each.size and not np.isnan(each).any() for each in steps)
-    ratio = float(steps[0].mean() / steps[1].mean()) if known else None
+    both_converge = all(each.size and not np.isnan(each).any() for each in steps)
+    ratio = float(steps[0].mean() / steps[1].mean()) if both_converge else None
     return replace(converges_faster(first, second), figures={"measured": ratio, "low": None, "high": None})
 
 
@@ -175,27 +154,19 @@ def serves_every_posture(pool: Pool) -> Part:
     counts = pool.rows.groupby("posture")["success"].agg(["mean", "sum", "size"])
     name = min(counts.index, key=lambda posture: (counts["mean"][posture], posture))
     rate, (low, high) = float(counts["mean"][name]), wilson(int(counts["sum"][name]), int(counts["size"][name]))
-    served = low >= SERVED and set(counts.index) == set(postures())
-    words, figures = (
-        f"weakest posture {name}: {percent(rate, (low, high))}",
-        {"measured": rate, "low": low, "high": high},
-    )
-    return Part(words, _lies(above=served, below=high < SERVED), figures)
+    serves_all = low >= SERVED and set(counts.index) == set(postures())
+    words, figures = f"weakest posture {name}: {percent(rate, (low, high))}", dict(measured=rate, low=low, high=high)
+    return Part(words, _lies(above=serves_all, below=high < SERVED), figures)
 
 
 #: What ``claims.yaml`` may name.
-RULES: dict[str, Callable[..., Part]] = {
-    rule.__name__: rule
-    for rule in (
-        succeeds_more, unsolved, reaches, returns_more, converges_faster, converges_in_a_share, takes_at_most,
-        serves_every_posture,
-    )
-}  # fmt: skip
+_RULES = (succeeds_more, unsolved, reaches, returns_more, converges_faster, converges_in_a_share, takes_at_most)
+RULES: dict[str, Callable[..., Part]] = {rule.__name__: rule for rule in (*_RULES, serves_every_posture)}
 
 
 def _enough(pool: Pool, one_training: bool) -> bool:
-    trained = one_training or (len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS)
-    return trained and len(pool.rows) >= ENOUGH_TESTS * (1 if one_training else len(pool.runs))
+    enough_training = one_training or (len(pool.runs) >= ENOUGH_SEEDS and pool.env_steps >= ENOUGH_STEPS)
+    return enough_training and len(pool.rows) >= ENOUGH_TESTS * (1 if one_training else len(pool.runs))
 
 
 def judge(claim: Claim, parts: list[Part], pools: list[Pool]) -> Claim:
@@ -224,7 +195,7 @@ def judge(claim: Claim, parts: list[Part], pools: list[Pool]) -> Claim:
 
 def compute_claims(results: Path = RESULTS) -> list[Claim]:
     """Return all claims in order, with their verdicts."""
-    pools, judged = read_pools(results), []
+    pools, verdicts = read_pools(results), []
     for entry in yaml.safe_load(CLAIMS.read_text(encoding="utf-8")):
         methods, rules = entry.pop("methods", []), entry.pop("parts", [])
         claim = Claim(**entry)
@@ -234,8 +205,8 @@ def compute_claims(results: Path = RESULTS) -> list[Claim]:
         elif methods:
             parts = [RULES[name](*(pools.get(argument, argument) for argument in rest)) for name, *rest in rules]
             claim = judge(claim, parts, [pools[method] for method in methods])
-        judged.append(claim)
-    return judged
+        verdicts.append(claim)
+    return verdicts
 
 
 def write_claims(claims: list[Claim], path: Path | None = None) -> Path:

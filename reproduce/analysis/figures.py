@@ -11,7 +11,7 @@ import seaborn as sns
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lunar_rescue import Scene, postures, rewards, sample_scene
+from lunar_rescue import RewardWeights, Scene, postures, rewards, sample_scene
 from lunar_rescue.env import LunarRescueEnv
 from lunar_rescue.episode import Episode
 from lunar_rescue.pictures.camera import GALLERY_TURN, TURN, scene_camera
@@ -21,8 +21,6 @@ from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import body_surface
 from reproduce.analysis.trainings import smooth
-
-Array = NDArray[np.float64]
 
 sns.set_theme(context="notebook", style="whitegrid")
 
@@ -41,12 +39,12 @@ def training_environments(count: int = 16, first_seed: int = 0) -> Figure:
 
 def grounds(count: int = 4, first_seed: int = 0) -> Figure:
     """Draw unstructured ground: level, then rough from gentle to steep, with rocks."""
-    drawn = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
-    level = next(scene for scene in drawn if not scene.terrain.rough)
-    rough = sorted((scene for scene in drawn if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
+    scenes = [scene for scene in (sample_scene(first_seed + i) for i in range(200)) if len(scene.rocks) >= 3]
+    level = next(scene for scene in scenes if not scene.terrain.rough)
+    rough = sorted((scene for scene in scenes if scene.terrain.rough), key=lambda scene: scene.terrain.slope)
     steps = np.linspace(0, len(rough) - 1, count - 1).round().astype(int)
-    titled = [("level", level)] + [(f"slope {rough[i].terrain.slope:.0f}°", rough[i]) for i in steps]
-    return picture_grid(first_pictures([(f"{t}, {len(s.rocks)} rocks", s) for t, s in titled], size=(480, 352)), count)
+    panels = [("level", level)] + [(f"slope {rough[i].terrain.slope:.0f}°", rough[i]) for i in steps]
+    return picture_grid(first_pictures([(f"{t}, {len(s.rocks)} rocks", s) for t, s in panels], size=(480, 352)), count)
 
 
 def watched_distances(episode: Episode, size: tuple[int, int] = (720, 528)) -> NDArray[np.uint8]:
@@ -88,15 +86,14 @@ def picture_grid(pictures: Sequence[tuple[str, NDArray[np.uint8]]], columns: int
     return figure
 
 
-def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
+def reward_terms(weights: RewardWeights, max_steps: int) -> Figure:
     """Draw P5, each term of Eq. 2 over its argument."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
     change, distance = np.linspace(-0.5, 0.5, 201), np.linspace(0.01, 1.0, 200)
     moved, steps = np.linspace(0, 1.6, 50), np.arange(0, max_steps + 1)
     for form in ("literal", "signed"):
-        axes[0, 0].plot(
-            change, [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change], label=form
-        )
+        values = [rewards.approach(1.0, 1.0 - c, beta=weights.beta, form=form) for c in change]
+        axes[0, 0].plot(change, values, label=form)
     axes[0, 0].legend()
     axes[0, 1].plot(distance, [rewards.obstacle_avoidance(d[None], rho=weights.rho, xi=weights.xi) for d in distance])
     axes[1, 0].plot(moved, [rewards.joint_motion(m[None], varphi=weights.varphi) for m in moved])
@@ -113,7 +110,7 @@ def reward_terms(weights: rewards.RewardWeights, max_steps: int) -> Figure:
     return figure
 
 
-def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, height: float = 0.05) -> Figure:
+def aapf_field(scene: Scene, joints: NDArray[np.float64], weights: RewardWeights, height: float = 0.05) -> Figure:
     """Draw F2, the AAPF term of one point moved over the ground at ``height`` [m], with mark points and the body.
 
     The scene has at least one rock; ``joints`` are positions of both arms (12, 3) [m].
@@ -137,7 +134,7 @@ def aapf_field(scene: Scene, joints: Array, weights: rewards.RewardWeights, heig
     return figure
 
 
-def aapf_against_contact(weights: rewards.RewardWeights, radius: float = 0.1) -> Figure:
+def aapf_against_contact(weights: RewardWeights, radius: float = 0.1) -> Figure:
     """Draw the dense AAPF term beside the contact reward as a joint nears a rock of this radius [m]."""
     gap = np.linspace(-0.02, 0.8, 300)
     dense = [rewards.obstacle_avoidance(np.array([max(g + radius, 1e-3)]), rho=weights.rho, xi=weights.xi) for g in gap]
@@ -183,8 +180,8 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
 def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
     """Draw a heat map of success [%] over postures and tasks; ``tested`` has each column's rows by its title."""
     rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
-    known = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
-    rates = 100 * rates.reindex([pair for pair in known if pair in rates.index])
+    pairs = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
+    rates = 100 * rates.reindex([pair for pair in pairs if pair in rates.index])
     rates.index = pd.Index([f"{posture} {task}".replace("_", " ") for posture, task in rates.index])
     figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(

@@ -21,17 +21,8 @@ def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, float
     """Return the difference of two success rates on the same scenes, with its 95 % interval.
 
     Wald's interval for paired proportions with half a test added to each of the four cells, which keeps its level for
-    few tests and rates near 0 or 1 (Agresti and Min, Statistics in Medicine 24, 2005).
-
-    Args:
-        first: Whether each scene ended in a rescue, (tests,) of booleans.
-        second: The same of the other method, in the same order of scenes.
-
-    Returns:
-        The rate of ``first`` minus that of ``second``, and the ends of the interval.
-
-    Raises:
-        ValueError: Where they are not outcomes of as many tests each.
+    few tests and rates near 0 or 1 (Agresti and Min, Statistics in Medicine 24, 2005). ``first`` and ``second`` say
+    whether each scene ended in a rescue, (tests,) of booleans in the same order; anything else is a ``ValueError``.
     """
     ours, theirs = np.asarray(first), np.asarray(second)
     if ours.shape != theirs.shape or not ours.size or ours.dtype != bool or theirs.dtype != bool:
@@ -43,11 +34,7 @@ def paired_difference(first: ArrayLike, second: ArrayLike) -> tuple[float, float
 
 
 def mean_interval(values: Sequence[float] | pd.Series[float]) -> tuple[float, float, float]:
-    """Return the mean with Student's 95 % interval; of differences of pairs, that of a paired t-test.
-
-    Raises:
-        ValueError: Where there are not two values at least.
-    """
+    """Return the mean of two or more values with Student's 95 % interval; of differences of pairs a paired t-test's."""
     if len(values) < 2:
         raise ValueError(f"mean_interval: expected two values at least, got {len(values)}")
     interval = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)

@@ -6,10 +6,8 @@ from lunar_rescue.rewards import ApproachForm, approach, time_bonus
 
 
 def discounted(per_step: float, steps: int, gamma: float) -> float:
-    """Return the sum of ``steps`` equal rewards, discounted: per_step (1 - gamma^steps) / (1 - gamma)."""
-    if gamma == 1.0:
-        return per_step * steps
-    return per_step * (1.0 - gamma**steps) / (1.0 - gamma)
+    """Return the sum of ``steps`` equal rewards, discounted."""
+    return per_step * sum(gamma**step for step in range(steps))
 
 
 def dwelling(form: ApproachForm, beta: float, gamma: float, max_steps: int) -> float:
@@ -43,5 +41,5 @@ def dwelling_table(beta: float, gamma: float, max_steps: int, factor: float = 1.
 
 def largest_honest_beta(gamma: float, max_steps: int, after: int, factor: float = 1.0) -> float:
     """Return the largest beta at which finishing in step ``after`` beats dwelling to the limit in the literal form."""
-    lost = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
-    return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / lost
+    loss = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
+    return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / loss

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import ConfigDict, NonNegativeFloat, NonNegativeInt, TypeAdapter, ValidationError, with_config
+from pydantic import ConfigDict, NonNegativeFloat, NonNegativeInt, with_config
 from typing_extensions import TypedDict
 
 from lunar_rescue import ENVIRONMENT_VERSION
@@ -19,10 +19,10 @@ from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import read_rows, summarise
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import read_json
 from reproduce.storage.paths import REFERENCE, RESULTS
+from reproduce.storage.records import read_record
 
-_STRICT = with_config(ConfigDict(strict=True, allow_inf_nan=False))
+_STRICT = with_config(ConfigDict(strict=True, allow_inf_nan=False, extra="allow"))
 
 
 @_STRICT
@@ -49,19 +49,12 @@ class _Summary(TypedDict):
 
 @dataclass(frozen=True)
 class Run:
-    """One reference run; its evaluations are read and checked when one is first asked for.
+    """One reference run; its evaluations are read and checked when one is first asked for."""
 
-    Attributes:
-        method: Name in the registry.
-        seed: Training seed.
-        folder: Where it lies.
-        origin: ``run.json``, or None without a training.
-    """
-
-    method: str
-    seed: int
+    method: str  # name in the registry
+    seed: int  # of the training
     folder: Path
-    origin: dict[str, Any] | None
+    origin: dict[str, Any] | None  # ``run.json``, or None without a training
 
     @property
     def label(self) -> str:
@@ -97,11 +90,7 @@ class Run:
         return self._evaluations[name][1] if name in self._evaluations else None
 
     def curve(self) -> pd.DataFrame | None:
-        """Return ``progress.csv``, or None.
-
-        Raises:
-            UserError: Where it is no table of env steps and returns.
-        """
+        """Return ``progress.csv``, or None; one that is no table of env steps and returns is a ``UserError``."""
         path = self.folder / "progress.csv"
         try:
             curve = pd.read_csv(path)
@@ -116,58 +105,35 @@ class Run:
 
 
 def read_evaluation(path: Path, method: str) -> tuple[dict[str, Any], pd.DataFrame]:
-    """Read an evaluation of a method and return its summary and its rows.
+    """Read ``NAME.json`` and ``NAME.csv``, NAME in ``EVALUATIONS``; return the summary and the rows of scenes.
 
-    Args:
-        path: ``NAME.json``, with ``NAME.csv`` beside it and NAME in ``EVALUATIONS``.
-        method: Name in the registry.
-
-    Raises:
-        UserError: Where it is another method's, split's, ablation's or environment's, an easy one, or its summary is
-            not that of its rows.
+    It is a ``UserError`` where it is another method's, split's, ablation's or environment's, an easy one, or its
+    summary is not that of its rows.
     """
-    summary, rows, plan = (
-        _read(path, "evaluation", _Summary),
-        read_rows(path.with_suffix(".csv")),
-        EVALUATIONS[path.stem],
-    )
+    summary, rows = read_record(path, "evaluation", _Summary), read_rows(path.with_suffix(".csv"))
+    plan = EVALUATIONS[path.stem]
     expected = {"method": method, "ablation": plan.ablation, "scenes": None, "split": split_of(plan.first_seed)}
     _expect(path, expected, summary)
     _expect(path, {"environment_version": ENVIRONMENT_VERSION}, summary["origin"])
     for key, value in summarise(rows).items():
-        told = summary.get(key)
-        if isinstance(value, float) and isinstance(told, int | float):
-            same = math.isclose(told, value, rel_tol=1e-9)
-        else:
-            same = told == value
-        if not same:
-            raise UserError(f"{path}: {key}: expected {value}, as {path.stem}.csv has it, got {told!r}")
+        entry = summary.get(key)
+        numbers = isinstance(value, float) and isinstance(entry, int | float)
+        if not (math.isclose(entry, value, rel_tol=1e-9) if numbers else entry == value):
+            raise UserError(f"{path}: {key}: expected {value}, as {path.stem}.csv has it, got {entry!r}")
     return summary, rows
 
 
-def _read(path: Path, what: str, kind: type) -> dict[str, Any]:
-    raw = read_json(path, what)
-    try:
-        TypeAdapter(kind).validate_python(raw)
-    except ValidationError as error:
-        fault = error.errors()[0]
-        where = "".join(f"{place}: " for place in fault["loc"])
-        raise UserError(f"{path}: {what}: {where}{fault['msg']}, got {fault['input']!r:.80}") from None
-    return dict(raw)
-
-
-def _expect(path: Path, expected: dict[str, Any], found: dict[str, Any]) -> None:
+def _expect(path: Path, expected: dict[str, Any], data: dict[str, Any]) -> None:
     for key, value in expected.items():
-        if found.get(key) != value:
-            wanted = "none" if value is None else value
-            raise UserError(f"{path}: {key}: expected {wanted}, got {found.get(key, 'none')!r}")
+        if data.get(key) != value:
+            words = "none" if value is None else value
+            raise UserError(f"{path}: {key}: expected {words}, got {data.get(key, 'none')!r}")
 
 
 def reference_runs(results: Path = RESULTS, kind: str = REFERENCE) -> list[Run]:
     """Return all runs of a kind, ``REFERENCE`` or ``EASY``, ordered by method and seed.
 
-    Raises:
-        UserError: Where a folder or the description in it is another run's, or two runs have the same weights.
+    A folder or description that is another run's, and weights that two runs share, are a ``UserError``.
     """
     runs = [_run(folder) for folder in sorted((results / kind).glob("*/seed*"))]
     weights = [path for run in runs if (path := run.folder / "policy.safetensors").is_file()]
@@ -183,10 +149,9 @@ def _run(folder: Path) -> Run:
         raise UserError(f"{folder.parent}: expected a folder named for one of {', '.join(METHODS)}")
     if not number.isdigit():
         raise UserError(f"{folder}: expected a folder name seedK with a number K")
-    origin = _read(path, "run description", _Training) if path.is_file() else None
+    origin = read_record(path, "run description", _Training) if path.is_file() else None
     if origin:
-        expected = {"method": method, "seed": int(number), "environment_version": ENVIRONMENT_VERSION}
-        _expect(path, expected, origin)
+        _expect(path, {"method": method, "seed": int(number), "environment_version": ENVIRONMENT_VERSION}, origin)
     return Run(method, int(number), folder, origin)
 
 

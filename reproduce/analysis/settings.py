@@ -29,50 +29,39 @@ def notes(kind: type) -> dict[str, str]:
     """Return what the source of a configuration class says of each field: above it, beside it, or below as a string."""
     source = textwrap.dedent(inspect.getsource(kind))
     lines, (tree,) = source.splitlines(), ast.parse(source).body
-    told = {}
+    words = {}
     for field, below in itertools.zip_longest(tree.body, tree.body[1:]):  # type: ignore[attr-defined]
         if not isinstance(field, ast.AnnAssign):
             continue
         above = itertools.takewhile(lambda line: line.startswith("#"), map(str.strip, lines[field.lineno - 2 :: -1]))
         beside = lines[(field.end_lineno or field.lineno) - 1][field.end_col_offset :].partition("#")[2]
         text = str(below.value.value) if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) else ""
-        words = " ".join([*(line[1:] for line in reversed(list(above))), beside, text])
-        told[ast.unparse(field.target)] = " ".join(words.split())
-    return told
+        parts = [*(line[1:] for line in reversed(list(above))), beside, text]
+        words[ast.unparse(field.target)] = " ".join(" ".join(parts).split())
+    return words
 
 
 def settings_table(preset: str) -> pd.DataFrame:
     """A row a setting, a column a method; empty where a method does not have it."""
-    learning = {name: method.config(preset) for name, method in METHODS.items() if method.train is not None}
-    columns = {name: _settings(config) for name, config in learning.items()}
+    settings = {name: _settings(method.config(preset)) for name, method in METHODS.items() if method.train is not None}
+    origins = {row: note for own in settings.values() for row, (_, note) in own.items()}
     order = ["training", *TITLES.values()]
-    rows = {row: note for column in columns.values() for row, (_, note) in column.items()}
-    table = [
-        {
-            "of": row[0],
-            "setting": row[1],
-            **{name: column[row][0] if row in column else "" for name, column in columns.items()},
-            "where from": rows[row],
-        }
-        for row in sorted(rows, key=lambda row: order.index(row[0]))
-    ]
-    return pd.DataFrame(table).set_index(["of", "setting"])
+    rows = sorted(origins, key=lambda row: order.index(row[0]))
+    columns = {name: [own[row][0] if row in own else "" for row in rows] for name, own in settings.items()}
+    index = pd.MultiIndex.from_tuples(rows, names=["of", "setting"])
+    return pd.DataFrame({**columns, "where from": [origins[row] for row in rows]}, index)
 
 
 def _settings(config: TrainingConfig) -> dict[tuple[str, str], tuple[Any, str]]:
     """Return value and note of each setting of a configuration, by the title of its part and its name."""
-    found: dict[tuple[str, str], tuple[Any, str]] = {}
-    about = {
-        name: note
-        for kind in reversed(type(config).__mro__)
-        if is_dataclass(kind)
-        for name, note in notes(kind).items()
-    }
+    settings: dict[tuple[str, str], tuple[Any, str]] = {}
+    kinds = filter(is_dataclass, reversed(type(config).__mro__))
+    about = {name: note for kind in kinds for name, note in notes(kind).items()}
     for field in fields(config):
         value = getattr(config, field.name)
         if field.name not in TITLES:
-            found["training", field.name] = value, about[field.name]
+            settings["training", field.name] = value, about[field.name]
             continue
         own = notes(type(value))
-        found |= {(TITLES[field.name], f.name): (getattr(value, f.name), own[f.name]) for f in fields(value)}
-    return found
+        settings |= {(TITLES[field.name], f.name): (getattr(value, f.name), own[f.name]) for f in fields(value)}
+    return settings

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,14 @@ from reproduce.analysis.runs import Run, reference_runs
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import wilson
-from reproduce.storage.files import write_atomically
 from reproduce.storage.paths import RESULTS
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
 COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
 SPLIT_TITLES = {"test": "evaluation", "held out": "heldout"}
 MASS_CLASSES = 3  # equal parts of the range of masses
+_join = ", ".join
 
 
 def table1(results: Path = RESULTS) -> pd.DataFrame:
@@ -52,26 +50,16 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
             {
                 "method": method.title,
                 "paper, 1000 tests": _percent(method.paper_success) if method.paper_success else "-",
-                "ours, success [95 % interval]": _listed(_success(run.evaluation) for run in mine)
+                "ours, success [95 % interval]": _join(_success(run.evaluation) for run in mine)
                 or "no run in results/ yet",
-                "held out": _listed(_success(run.summary("heldout")) for run in mine),
-                "rescued gently": _listed(_percent(run.evaluation["gentle"]) for run in mine if run.evaluation),
-                "tests": _listed(str(run.evaluation["tests"]) for run in mine if run.evaluation),
-                "env steps": _listed(f"{run.env_steps:,}" for run in mine),
-                "minutes": _listed(f"{run.minutes:.0f}" for run in mine),
+                "held out": _join(_success(run.summary("heldout")) for run in mine),
+                "rescued gently": _join(_percent(run.evaluation["gentle"]) for run in mine if run.evaluation),
+                "tests": _join(str(run.evaluation["tests"]) for run in mine if run.evaluation),
+                "env steps": _join(f"{run.env_steps:,}" for run in mine),
+                "minutes": _join(f"{run.minutes:.0f}" for run in mine),
             }
         )
     return pd.DataFrame(rows)
-
-
-_listed = ", ".join
-
-
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as Markdown, a line a row."""
-    cells = [[str(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in [head, *rows]]
-    lines = ["| " + " | ".join(row) + " |" for row in cells]
-    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]]) + "\n"
 
 
 def _success(summary: dict[str, Any] | None) -> str:
@@ -84,7 +72,7 @@ def _percent(rate: float) -> str:
 
 def write_table1(results: Path = RESULTS) -> Path:
     """Write ``table1.csv`` and return its path."""
-    return _write(table1(results), results / "table1.csv")
+    return write_table(results / "table1.csv", table1(results))
 
 
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
@@ -92,18 +80,18 @@ def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str =
 
     ``to`` is compared by its first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _paired(results, to, name)]
+    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _pairs(results, to, name)]
     return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
 
 
-def _paired(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
+def _pairs(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
     """Return runs of other methods that met the same scenes, how many, and the difference with its interval."""
-    tested = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
-    chosen = next((rows for run, rows in tested if run.method == to), None)
+    tests = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
+    own = next((rows for run, rows in tests if run.method == to), None)
     return [
-        (run, len(rows), paired_difference(chosen["success"], rows["success"]))
-        for run, rows in tested
-        if chosen is not None and run.method != to and same_scenes(chosen, rows)
+        (run, len(rows), paired_difference(own["success"], rows["success"]))
+        for run, rows in tests
+        if own is not None and run.method != to and same_scenes(own, rows)
     ]
 
 
@@ -114,7 +102,7 @@ def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.Dat
             f"{METHODS[run.method].title}, seed {run.seed}": "{:+.1f} [{:+.1f}, {:+.1f}]".format(
                 *(100 * value for value in difference)
             )
-            for run, _, difference in _paired(results, to, name)
+            for run, _, difference in _pairs(results, to, name)
         }
         for title, name in SPLIT_TITLES.items()
     }
@@ -131,28 +119,23 @@ def nearest_to_rocks(
     """
     runs = {run.method: run.rows(name) for run in reversed(reference_runs(results))}  # the first seed stays
     ours, theirs = runs.get(first), runs.get(second)
-    values = {}
+    near = pd.DataFrame()
     if ours is not None and theirs is not None and same_scenes(ours, theirs):
         near = pd.DataFrame({first: ours["nearest_mark"], second: theirs["nearest_mark"]}).dropna()
-        values = {first: near[first], second: near[second], f"{first} - {second}": near[first] - near[second]}
-    rows = [(key, len(value), *mean_interval(value)) for key, value in values.items()]
+        near[f"{first} - {second}"] = near[first] - near[second]
+    rows = [(key, len(near), *mean_interval(near[key])) for key in near]
     columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
     return pd.DataFrame(rows, columns=columns).set_index(columns[0])
 
 
-def mass_classes(masses: pd.Series[float]) -> pd.Series[str]:
-    """Return the third of the mass range that each mass [kg] lies in, in words."""
-    edges = np.linspace(*MASS_RANGE, MASS_CLASSES + 1)
-    words = [f"{low:.0f} to {high:.0f} kg" for low, high in pairwise(edges)]
-    return pd.cut(masses, [*edges[:-1], np.inf], right=False, labels=words).astype(str)
-
-
 def by_condition(rows: pd.DataFrame) -> pd.DataFrame:
     """Return success by task, ground, mass, number of rocks and posture, with intervals, from an evaluation's rows."""
+    edges = np.linspace(*MASS_RANGE, MASS_CLASSES + 1)
+    words = [f"{low:.0f} to {high:.0f} kg" for low, high in pairwise(edges)]
     conditions = {
         "task": rows["task"],
         "ground": rows["terrain"],
-        "mass": mass_classes(rows["mass"]),
+        "mass": pd.cut(rows["mass"], [*edges[:-1], np.inf], right=False, labels=words).astype(str),
         "rocks": rows["rocks"].astype(str),
         "posture": rows["posture"],
     }
@@ -174,7 +157,7 @@ def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFra
         if (rows := run.rows(name)) is not None:
             lies = rows["attitude"].str.removeprefix("left_").str.removeprefix("right_")
             groups = rows.groupby((rows["task"] + " " + lies).str.replace("_", " "))["success"]
-            columns[run.label] = groups.agg(lambda found: f"{_percent(found.mean())} of {len(found)}")
+            columns[run.label] = groups.agg(lambda tests: f"{_percent(tests.mean())} of {len(tests)}")
     return pd.DataFrame(columns).T
 
 
@@ -203,8 +186,8 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         if summary is None or rows is None:
             continue
         key: dict[str, Any] = {"method": run.method, "seed": run.seed, "evaluation": name}
-        kept = ["first_seed", *COUNTS, "both_arms_under", "gentle", "mean_return", "mean_steps"]
-        success.append({**key, "env_steps": run.env_steps, **{k: summary[k] for k in kept}})
+        figures = ["first_seed", *COUNTS, "both_arms_under", "gentle", "mean_return", "mean_steps"]
+        success.append({**key, "env_steps": run.env_steps, **{name: summary[name] for name in figures}})
         conditions.append(by_condition(rows).reset_index().assign(**key))
         failures += [{**key, "failure": word, "tests": count} for word, count in summary["failures"].items()]
     tables = {
@@ -214,10 +197,4 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         "paired_test": paired_differences(results).reset_index(),
         "paired_heldout": paired_differences(results, name="heldout").reset_index(),
     }
-    return [_write(table, results / "tables" / f"{name}.csv") for name, table in tables.items()]
-
-
-def _write(table: pd.DataFrame, path: Path) -> Path:
-    write_atomically(path, partial(table.to_csv, index=False))
-    record_origin(path)
-    return path
+    return [write_table(results / "tables" / f"{name}.csv", table) for name, table in tables.items()]

@@ -89,10 +89,10 @@ def final_return(curve: pd.DataFrame) -> float:
 
 def steps_to_converge(curve: pd.DataFrame) -> float | None:
     """Return environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
-    smoothed = smooth(curve["return_high"])
-    first, last = float(smoothed.iloc[0]), final_return(curve)
+    means = smooth(curve["return_high"])
+    first, last = float(means.iloc[0]), final_return(curve)
     spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
     if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
         return None
-    reached = curve["env_steps"][smoothed - first >= CONVERGED * (last - first)]
-    return float(reached.iloc[0] if len(reached) else curve["env_steps"].iloc[-1])
+    beyond = curve["env_steps"][means - first >= CONVERGED * (last - first)]
+    return float(beyond.iloc[0] if len(beyond) else curve["env_steps"].iloc[-1])

@@ -10,7 +10,6 @@ The peer is ``PandaReach-v3`` of panda-gym, also PyBullet, which is not in the l
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import os
 import time
@@ -87,9 +86,7 @@ def measure(part: str = "all", rounds: int = ROUNDS, steps: int = STEPS) -> dict
 def measure_environments(rounds: int, steps: int) -> dict[str, Any]:
     """Measure one process on each kind of ground, the peer, and sixteen environments on all cores, in alternation."""
     kinds = {sample_scene(FIRST_SEED + i).terrain.kind for i in range(LOOKED_AT)} & set(ENDINGS)
-    rng = np.random.default_rng(0)
-    tallies: list[Round] = []
-    everywhere: list[float] = []
+    rng, tallies, everywhere = np.random.default_rng(0), [], []
     with ExitStack() as stack:
         ours, peer = our_episodes(stack), peer_episodes(stack)
         venv = stack.enter_context(closing(WorkerVecEnv(ALL_ENVS, seed=0)))
@@ -130,21 +127,21 @@ class Episodes:
 
         A scene is drawn within the time of the reset, as in training; only then is its ground known.
         """
-        begun = time.perf_counter()
+        start = time.perf_counter()
         _, info = self._reset()
-        resetting = time.perf_counter() - begun
+        resetting = time.perf_counter() - start
         tally = tally_of(info)
         if tally is None:
             return
         tally.resetting, tally.resets = tally.resetting + resetting, tally.resets + 1
-        self.inside, done, number = 0.0, False, 0
-        while not done and number < self._longest:
+        self.inside, over, number = 0.0, False, 0
+        while not over and number < self._longest:
             if number % self._hold == 0:
                 action = self._sample()
-            begun = time.perf_counter()
+            start = time.perf_counter()
             *_, terminated, truncated, _ = self._step(action)
-            tally.stepping += time.perf_counter() - begun
-            number, done = number + 1, terminated or truncated
+            tally.stepping += time.perf_counter() - start
+            number, over = number + 1, terminated or truncated
         tally.steps, tally.inside = tally.steps + number, tally.inside + self.inside
 
 
@@ -153,26 +150,23 @@ def our_episodes(stack: ExitStack) -> Episodes:
     env = stack.enter_context(closing(LunarRescueEnv()))
     seeds, rng, advance = itertools.count(FIRST_SEED), np.random.default_rng(0), env.simulation.advance
 
-    def timed(substeps: int) -> None:
-        begun = time.perf_counter()
+    def advance_and_time(substeps: int) -> None:
+        start = time.perf_counter()
         advance(substeps)
-        episodes.inside += time.perf_counter() - begun
+        episodes.inside += time.perf_counter() - start
 
-    env.simulation.advance = timed  # type: ignore[method-assign]
-    sample = partial(rng.uniform, -1, 1, JOINTS)
-    episodes = Episodes(lambda: env.reset_flat(next(seeds)), env.step_flat, sample, HOLD, MAX_STEPS)
+    env.simulation.advance = advance_and_time  # type: ignore[method-assign]
+    reset, sample = (lambda: env.reset_flat(next(seeds))), partial(rng.uniform, -1, 1, JOINTS)
+    episodes = Episodes(reset, env.step_flat, sample, HOLD, MAX_STEPS)
     return episodes
 
 
 def peer_episodes(stack: ExitStack) -> Episodes | None:
     """Return the peer's episodes if panda-gym is installed; ``stack`` closes the environment."""
     try:
-        if importlib.util.find_spec("panda_gym") is None:
-            return None
-    except ValueError:  # what Python raises where an entry of sys.modules is None
+        import panda_gym  # noqa: F401
+    except ImportError:
         return None
-    import panda_gym  # noqa: F401
-
     with no_greeting():
         env = stack.enter_context(closing(gymnasium.make(PEER)))
     return bare_episodes(env.unwrapped, gymnasium.spec(PEER).max_episode_steps or 50)
@@ -187,12 +181,12 @@ def bare_episodes(env: gymnasium.Env[Any, Any], longest: int) -> Episodes:
 def _all_environments(venv: WorkerVecEnv, rng: np.random.Generator) -> float:
     """Return steps a second of all environments together, resets included, as a training sees them."""
     actions: NDArray[np.float32]
-    begun = time.perf_counter()
+    start = time.perf_counter()
     for step in range(MAX_STEPS):
         if step % HOLD == 0:
             actions = rng.uniform(-1, 1, (venv.num_envs, JOINTS)).astype(np.float32)
         venv.step(actions)
-    return MAX_STEPS * venv.num_envs / (time.perf_counter() - begun)
+    return MAX_STEPS * venv.num_envs / (time.perf_counter() - start)
 
 
 def environment_figures(rounds: list[Round]) -> dict[str, Any]:
@@ -226,9 +220,8 @@ def _figures(name: str, ending: str, tallies: list[Tally]) -> dict[str, Any]:
 
 def _ratios(name: str, rounds: list[Round], above: str, below: str) -> dict[str, Any]:
     """Return the ratio of two rates in each round, and their median."""
-    ratios = [tallies[above].rate / tallies[below].rate for tallies in rounds if above in tallies and below in tallies]
-    rounded = [round(ratio, 3) for ratio in ratios]
-    return {name: round(median(ratios), 3), f"{name}_rounds": rounded} if ratios else {}
+    ratios = [tallies[above].rate / tallies[below].rate for tallies in rounds if {above, below} <= tallies.keys()]
+    return {name: round(median(ratios), 3), f"{name}_rounds": [round(r, 3) for r in ratios]} if ratios else {}
 
 
 def measure_tests(rounds: int, steps: int) -> dict[str, Any]:

@@ -100,10 +100,10 @@ class StockTraining:
 
 def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -> None:
     """Fill a stock buffer with SGN's first decisions of every environment; a last one stays, as its return is open."""
-    recorded = env.high.decisions
+    histories = env.high.decisions
     buffer.reset()
     for row in range(rows):
-        at = [decisions[min(row, len(decisions) - 1)] for decisions in recorded]
+        at = [decisions[min(row, len(decisions) - 1)] for decisions in histories]
         hidden = th.from_numpy(np.stack([d.hidden for d in at])).unsqueeze(0)
         pair = (hidden[:, :, 0].contiguous(), hidden[:, :, 1].contiguous())
         buffer.add(
@@ -115,9 +115,9 @@ def fill_buffer(buffer: RecurrentRolloutBuffer, env: SubGoalVecEnv, rows: int) -
             th.tensor([d.log_prob for d in at]),
             lstm_states=RNNStates(pair, pair),
         )
-    buffer.compute_returns_and_advantage(th.zeros(len(recorded)), np.zeros(len(recorded)))
-    for index, decisions in enumerate(recorded):
-        recorded[index] = decisions[-1:]
+    buffer.compute_returns_and_advantage(th.zeros(len(histories)), np.zeros(len(histories)))
+    for index, decisions in enumerate(histories):
+        histories[index] = decisions[-1:]
 
 
 def copy_rollout(source: RecurrentRolloutBuffer, target: RecurrentRolloutBuffer) -> None:

@@ -26,9 +26,9 @@ BATCHES, BATCH = (128, 512, 1024), LearnerConfig().batch_size
 
 def seconds_of(run: Callable[..., object], *arguments: Any) -> float:
     """Return the time that a call takes [s]."""
-    begun = time.perf_counter()
+    start = time.perf_counter()
     run(*arguments)
-    return time.perf_counter() - begun
+    return time.perf_counter() - start
 
 
 def measure_training(rounds: int, steps: int) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from reproduce.learning.config import RecurrentConfig, TrainingConfig
 from reproduce.learning.policy import Policy
 from reproduce.learning.training import Training
 from reproduce.storage.errors import UserError
-from reproduce.storage.policies import read_policy_json, save_policy
+from reproduce.storage.policies import read_policy_json
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,7 @@ class Method:
         return configuration(self.kind, preset, self.changes)
 
 
-def _chosen(method: str) -> dict[str, Any]:
-    return TRIALS[method][CHOSEN[method]]
-
-
+_CHOSEN = {method: TRIALS[method][trial] for method, trial in CHOSEN.items()}
 _TWO_LAYERS = partial(Method, act=load_hierarchical_policy, train=HierarchicalTraining, kind=HierarchicalConfig)
 _SAC = partial(Method, act=load_sac_policy, train=SacTraining, kind=SacTrainingConfig)
 METHODS: dict[str, Method] = {
@@ -65,20 +62,20 @@ METHODS: dict[str, Method] = {
             load_feudal_policy,
             FunTraining,
             FeudalConfig,
-            _chosen("fun"),
+            _CHOSEN["fun"],
             paper_success=0.918,
         ),
         _SAC(
             "sac",
             "SAC",
             "flat SAC on the environment's reward, with the paper's toolkit's replay buffer",
-            changes=_chosen("sac"),
+            changes=_CHOSEN["sac"],
         ),
         _SAC(
             "sac_large_buffer",
             "SAC, large buffer",
             "the same with SB3's usual replay buffer of a million transitions; not in the paper",
-            changes={**_chosen("sac"), "sac.buffer_size": 1_000_000},
+            changes={**_CHOSEN["sac"], "sac.buffer_size": 1_000_000},
         ),
         Method(
             "ppo_lstm",
@@ -87,7 +84,7 @@ METHODS: dict[str, Method] = {
             load_flat_policy,
             FlatTraining,
             RecurrentConfig,
-            _chosen("ppo_lstm"),
+            _CHOSEN["ppo_lstm"],
         ),
         Method(
             "scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()
@@ -116,8 +113,3 @@ def load_policy(folder: Path) -> tuple[Method, Policy]:
     if name not in learning:
         raise UserError(f"{folder / 'policy.json'}: method: expected one of {', '.join(learning)}; got {name!r:.60}")
     return METHODS[name], METHODS[name].act(folder)
-
-
-def export_policy(folder: Path, method: Method, training: Training) -> None:
-    """Write what is needed to act into a run folder."""
-    save_policy(folder, method.name, training.networks(), training.config.policy)

@@ -30,13 +30,7 @@ TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
 
 
 def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
-    """Fill a method's configuration class with a preset.
-
-    What else the preset holds is not for ``kind``; for ``changes`` see ``changed``.
-
-    Raises:
-        UserError: Where there is no such preset.
-    """
+    """Fill a method's configuration class with what is for it in a preset, and with ``changes``, see ``changed``."""
     if preset not in PRESETS:
         raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
     own = {field.name for field in fields(kind)}
@@ -47,15 +41,14 @@ def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
 def changed(config: Config, changes: Changes) -> Config:
     """Return a configuration with some fields changed, named as ``"steps"`` or, in a section, ``"low.gamma"``.
 
-    Raises:
-        ValueError: Where the configuration has no such field, or the value makes no sense.
+    A field that is not there, or a value that makes no sense, is a ``ValueError``.
     """
     for where, value in changes.items():
         section, _, name = where.rpartition(".")
         owner: Any = getattr(config, section, None) if section else config
         if not is_dataclass(owner) or name not in {field.name for field in fields(owner)}:
             raise ValueError(f"expected the name of a field, or of a section and a field, got {where!r}")
-        edited: Any = replace(owner, **{name: value})  # type: ignore[type-var]
-        whole: Any = replace(config, **{section: edited}) if section else edited
+        part: Any = replace(owner, **{name: value})  # type: ignore[type-var]
+        whole: Any = replace(config, **{section: part}) if section else part
         config = whole
     return config

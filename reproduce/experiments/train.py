@@ -5,6 +5,7 @@ ends as if nothing had happened. An interruption itself writes no checkpoint: en
 checkpoint that was not planned would change everything after it.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -19,12 +20,14 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm.auto import tqdm
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.experiments.methods import Method, Training, export_policy
+from reproduce.experiments.methods import Method
 from reproduce.learning.config import TrainingConfig
+from reproduce.learning.training import Training
 from reproduce.learning.workers import WorkerError
-from reproduce.storage.checkpoint import Progress, delete_checkpoint, has_checkpoint, load_checkpoint, save_checkpoint
+from reproduce.storage.checkpoint import CHECKPOINT, Progress, has_checkpoint, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text
+from reproduce.storage.policies import save_policy
 from reproduce.storage.provenance import provenance
 from reproduce.storage.records import differences, to_dict
 
@@ -46,13 +49,9 @@ def train(
     """Train a method and write its run folder; return the rows of ``progress.csv``.
 
     ``folder`` is the run folder, which no other training may be writing; ``preset`` names where ``config`` comes from;
-    ``resume`` goes on from the checkpoint; ``tensorboard`` is a folder for logs of what ``progress.csv`` holds.
-
-    Raises:
-        UserError: When the method does not learn, the folder holds a finished run or is another training's, or there
-            is nothing to resume.
-        RunFailedError: When a worker died or a loss is not finite.
-        KeyboardInterrupt: When interrupted, with a line that says from where the training can go on.
+    ``resume`` goes on from the checkpoint; ``tensorboard`` is a folder for logs of what ``progress.csv`` holds. What
+    cannot be begun or resumed there is a ``UserError``, a worker that died or a loss that is not finite a
+    ``RunFailedError``; an interruption says in a line from where the training can go on.
     """
     run = _Run(method, config, seed, preset, folder, quiet)
     for place in (folder, tensorboard) if tensorboard else (folder,):
@@ -83,9 +82,8 @@ def train_as_needed(
 
 def _set_aside(folder: Path) -> None:
     """Move the files of a run to a numbered folder inside its own."""
-    number = 1
-    while (target := folder / "superseded" / str(number)).exists():
-        number += 1
+    targets = (folder / "superseded" / str(number) for number in itertools.count(1))
+    target = next(target for target in targets if not target.exists())
     target.mkdir(parents=True)
     # The configuration goes last: as long as it is there, a set-aside that was killed is gone on with.
     for path in sorted(folder.iterdir(), key=lambda path: path.name == "config.json"):
@@ -128,25 +126,25 @@ class _Run:
     def changes(self) -> list[str]:
         """Compare with the ``config.json`` that lies in the folder; return a text for each field that differs."""
         path = self.folder / "config.json"
-        found = read_json(path, "configuration of a run")
-        if not isinstance(found, dict) or not isinstance(found.get("training"), dict):
+        before = read_json(path, "configuration of a run")
+        if not isinstance(before, dict) or not isinstance(before.get("training"), dict):
             raise UserError(f"{path}: expected the configuration of a training, as `reproduce train` writes it")
         try:
-            return differences(found, self.description)
+            return differences(before, self.description)
         except RecursionError:
             raise UserError(f"{path}: expected the configuration of a training, got data nested too deeply") from None
 
     def check(self, resume: bool) -> None:
         """Refuse what cannot be begun, or gone on with, in the folder as it is."""
-        folder, begun, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
+        folder, config, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
         if (folder / "run.json").exists():
             advice = "nothing is left to resume" if resume else "choose another --out"
             raise UserError(f"{folder}: holds a finished run; {advice}")
         if not resume and checkpoint:
             raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
-        if resume and not begun and not checkpoint:
+        if resume and not config and not checkpoint:
             raise UserError(f"{folder}: no checkpoint to resume from")
-        if resume and begun and (changes := self.changes()):
+        if resume and config and (changes := self.changes()):
             raise UserError(f"{folder}: --resume with another configuration: {', '.join(changes[:3])}")
 
     def train(self, tensorboard: Path | None = None) -> pd.DataFrame:
@@ -175,25 +173,25 @@ class _Run:
         self.progress = self.saved = load_checkpoint(self.folder, training.learners, self.description)
         path = self.folder / "progress.csv"
         try:
-            table = pd.read_csv(path)
-            rows: list[Any] = table[table["update"] <= self.saved.update].to_dict("records")
+            rows: Any = pd.read_csv(path).loc[lambda table: table["update"] <= self.saved.update].to_dict("records")
         except (OSError, ValueError, KeyError) as error:
             raise UserError(f"{path}: not readable: {error}") from None
         self.rows = rows
         training.restart(self.saved.update)
 
     def _loop(self, training: Training, writer: Any) -> None:
-        total, begun = self.config.steps, time.monotonic() - self.progress.seconds
+        total, start = self.config.steps, time.monotonic() - self.progress.seconds
         looks: dict[str, Any] = {"unit": "step", "unit_scale": True, "desc": self.method.name}
         with tqdm(total=total, initial=self.progress.steps, disable=self.quiet, **looks) as bar:
             while self.progress.steps < total:
                 row = training.update(self.progress.steps)
                 update, steps = self.progress.update + 1, self.progress.steps + training.steps_per_update
-                seconds = time.monotonic() - begun
+                seconds = time.monotonic() - start
                 self.progress = Progress(update, steps, seconds)
-                self.rows.append({"update": update, "env_steps": steps, "seconds": round(seconds, 2), **row})
+                row = {"seconds": round(seconds, 2), **row}
+                self.rows.append({"update": update, "env_steps": steps, **row})
                 if writer:
-                    _log(writer, self.rows[-1])
+                    _log(writer, row, steps)
                 bar.update(training.steps_per_update)
                 bar.set_postfix(success=f"{row['success']:.2f}", under=f"{row['both_arms_under']:.2f}", refresh=False)
                 if update % self.config.checkpoint_every == 0 and steps < total:
@@ -204,15 +202,14 @@ class _Run:
 
     def _finish(self, training: Training, origin: dict[str, Any]) -> None:
         self._write_rows()
-        export_policy(self.folder, self.method, training)
+        save_policy(self.folder, self.method.name, training.networks(), training.config.policy)
         summary = {"method": self.method.name, "seed": self.seed, "preset": self.preset, **origin}
-        done = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
-        write_json(self.folder / "run.json", {**summary, **done})  # last: a folder that holds it is a finished run
-        delete_checkpoint(self.folder)
+        totals = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
+        write_json(self.folder / "run.json", {**summary, **totals})  # last: a folder that holds it is a finished run
+        (self.folder / CHECKPOINT).unlink(missing_ok=True)
 
     def _write_rows(self) -> None:
-        text = pd.DataFrame(self.rows).to_csv(index=False, float_format="%.5g")
-        write_text(self.folder / "progress.csv", text)
+        write_text(self.folder / "progress.csv", pd.DataFrame(self.rows).to_csv(index=False, float_format="%.5g"))
 
 
 def _tensorboard(folder: Path | None, steps: int) -> AbstractContextManager[Any]:
@@ -224,8 +221,7 @@ def _tensorboard(folder: Path | None, steps: int) -> AbstractContextManager[Any]
     return SummaryWriter(str(folder), purge_step=steps or None)
 
 
-def _log(writer: Any, row: dict[str, Any]) -> None:
+def _log(writer: Any, row: dict[str, Any], steps: int) -> None:
     for name, value in row.items():
-        if name not in ("update", "env_steps") and math.isfinite(value):
-            part = name.split("_")[0] if "_" in name else "training"
-            writer.add_scalar(f"{part}/{name}", value, row["env_steps"])
+        if math.isfinite(value):
+            writer.add_scalar(f"{name.split('_')[0] if '_' in name else 'training'}/{name}", value, steps)

@@ -21,9 +21,9 @@ from reproduce.experiments.methods import METHODS
 from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
 from reproduce.experiments.train import train
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import locked, write_text
+from reproduce.storage.files import locked
 from reproduce.storage.paths import COMMITTED, RESULTS
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 PRESET = "laptop"
 SCENES = "easy"
@@ -41,11 +41,8 @@ def tune(
     """Make the trials of a method that were not made yet; write and return the table of all.
 
     A trial has ``steps`` environment steps, then ``tests`` easy validation scenes; ``tell`` gets a line a trial. The
-    table is ``trials/tuning/METHOD.csv`` in ``results``, where no other tuning may be writing.
-
-    Raises:
-        UserError: When the method has no trials, a number is out of range, or the folder is in use.
-        KeyboardInterrupt: When interrupted; trials that ended are in the table, and the same call makes the others.
+    table is ``trials/tuning/METHOD.csv`` in ``results``, where no other tuning may be writing. After an interruption
+    trials that ended are in it, and the same call makes the others.
     """
     if method not in TRIALS:
         raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
@@ -54,26 +51,18 @@ def tune(
     path = results / TUNING / f"{method}.csv"
     with locked(path.parent, "folder of tuning trials"):
         conditions = {trial: _conditions(trial, changes, steps, tests) for trial, changes in TRIALS[method].items()}
-        rows = _known_rows(path, conditions)
+        before: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
+        rows = {row["trial"]: row for row in before if _same(row, conditions.get(row["trial"], {"trial": None}))}
         for trial in conditions:
             if trial not in rows:
                 rows[trial] = {**conditions[trial], **_measure(method, trial, steps, tests, quiet)}
-                ordered = [rows[each] for each in conditions if each in rows]
-                write_text(path, pd.DataFrame(ordered).to_csv(index=False))
-                record_origin(path)
+                write_table(path, pd.DataFrame([rows[each] for each in conditions if each in rows]))
             tell(f"{method}, {trial}: score {rows[trial]['score']:.3f}")
     return pd.DataFrame([rows[trial] for trial in conditions])
 
 
-def _known_rows(path: Path, conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Read the rows of trials that were made under the same conditions, by the trial's name."""
-    rows: list[Any] = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    wanted = {name: {key: str(value) for key, value in own.items()} for name, own in conditions.items()}
-    return {
-        name: row
-        for row in rows
-        if (name := row["trial"]) in wanted and {key: str(row.get(key)) for key in wanted[name]} == wanted[name]
-    }
+def _same(row: dict[str, Any], conditions: dict[str, Any]) -> bool:
+    return all(str(row.get(key)) == str(value) for key, value in conditions.items())
 
 
 def _conditions(trial: str, changes: Changes, steps: int, tests: int) -> dict[str, Any]:
@@ -107,15 +96,10 @@ def _measure(method: str, trial: str, steps: int, tests: int, quiet: bool) -> di
 
 def tuning_table(results: Path = COMMITTED) -> pd.DataFrame:
     """Return score and rates of all trials, by method and trial, with a mark at those that were chosen."""
-    tables = []
-    for method in TRIALS:
-        path = results / TUNING / f"{method}.csv"
-        if path.is_file():
-            table = pd.read_csv(path)
-            table.insert(0, "method", METHODS[method].title)
-            table["chosen"] = ["x" if name == CHOSEN[method] else "" for name in table["trial"]]
-            tables.append(table)
-    if not tables:
-        return pd.DataFrame(columns=["score", "chosen"])
     columns = ["score", "both_arms_under", "success_rate", "steps", "tests", "seconds", "chosen"]
-    return pd.concat(tables).set_index(["method", "trial"])[columns]
+    paths = {METHODS[method].title: results / TUNING / f"{method}.csv" for method in TRIALS}
+    tables = {title: pd.read_csv(path).set_index("trial") for title, path in paths.items() if path.is_file()}
+    if not tables:
+        return pd.DataFrame(columns=columns)
+    table, choices = pd.concat(tables, names=["method"]), {(METHODS[m].title, trial) for m, trial in CHOSEN.items()}
+    return table.assign(chosen=["x" if row in choices else "" for row in table.index])[columns]

@@ -36,10 +36,7 @@ class WatchedPolicy:
 
 
 def load_policy_and_scene(where: str | Path, seed: int, posture: str | None, task: str | None) -> tuple[Policy, Scene]:
-    """Load the policy and draw the scene of a rescue that is to be shown.
-
-    ``where`` is a run folder, or a method that does not learn by its name.
-    """
+    """Load a run folder's policy, or that of a method that does not learn, and draw the scene that is to be shown."""
     if seed < 0:
         raise UserError(f"seed: expected at least 0, got {seed}")
     _, policy = find_policy(where)

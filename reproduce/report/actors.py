@@ -62,29 +62,26 @@ class Spectator:
     """Look at an episode and tell where everything is; a stage of its own computes the links' poses."""
 
     def __init__(self) -> None:
-        """Set up a stage on which nothing stands yet."""
         self._stage = StageSet(Stage())
         self.robot: list[VisualShape] = []
 
     def look(self, episode: Episode, subgoals: NDArray[Any] | None = None, words: str = "") -> tuple[Moment, bool]:
         """Return the moment and whether it is the first of another scene.
 
-        Args:
-            episode: The episode, as it is now.
-            subgoals: Sub-goals of arm A and arm B in the base frame (2, 3) [m], if the policy has any.
-            words: Added to the caption.
+        ``subgoals`` are those of arm A and arm B in the base frame (2, 3) [m], if the policy has any; ``words`` are
+        added to the caption.
         """
         new = self._stage.show(episode)
         if new:
             self.robot = self._stage.stage.visual_shapes(self._stage.robot)
         links = nearest_links(episode.robot.points, episode.marks) if len(episode.marks) else []
-        known = subgoals is not None and np.isfinite(subgoals).all()
+        has_subgoals = subgoals is not None and np.isfinite(subgoals).all()
         moment = Moment(
             self._stage.stage.link_poses(self._stage.robot),
             suit_pose(episode),
             episode.robot.ends.copy(),
             episode.targets().copy(),
-            subgoals_in_scene(episode, np.asarray(subgoals)) if known else None,
+            subgoals_in_scene(episode, np.asarray(subgoals)) if has_subgoals else None,
             [(_line(link), near_colour(link.distance)) for link in links],
             "\n".join(caption(episode, words)),
         )
@@ -106,17 +103,15 @@ class Actors:
     def __init__(
         self, server: viser.ViserServer, scene: Scene, robot: list[VisualShape], first: Moment, subgoals: bool
     ) -> None:
-        """Put everything into a server's empty scene.
+        """Put everything into a server's empty scene, where it is in the ``first`` moment.
 
-        Args:
-            server: Shows it.
-            scene: The scene.
-            robot: What of the robot is seen.
-            first: Where everything is at the beginning.
-            subgoals: Whether there are sub-goals to be shown.
+        ``robot`` is what of the robot is seen; ``subgoals`` says whether there are any to be shown.
         """
         self._scene = server.scene
-        _aim(server.initial_camera, scene)
+        camera: Any = server.initial_camera
+        view = scene_camera(scene)  # as of the pictures of ``reproduce replay``
+        camera.position, camera.look_at, camera.up = view.eye, np.array(view.target), scene.terrain.up()
+        camera.fov = FIELD_OF_VIEW
         self._light(scene)
         self._stand(scene)
         self._links = self._robot(robot)
@@ -139,13 +134,9 @@ class Actors:
         for actor, (place, quaternion) in poses:
             actor.position, actor.wxyz = place, np.roll(quaternion, 1)
         # The last moment has no sub-goals: they stay where they were.
-        for balls, places in (
-            (self._ends, moment.ends),
-            (self._targets, moment.targets),
-            (self._subgoals, moment.subgoals),
-        ):
-            for ball, place in zip(balls, () if places is None else places, strict=False):
-                ball.position = place
+        places = [*moment.ends, *moment.targets, *(() if moment.subgoals is None else moment.subgoals)]
+        for ball, place in zip([*self._ends, *self._targets, *self._subgoals], places, strict=False):
+            ball.position = place
         self._lines.points, self._lines.colors = _segments(moment)
         self._words.text = moment.words
 
@@ -190,8 +181,8 @@ class Actors:
         frames = {link: self._scene.add_frame(name, show_axes=False) for link, name in names.items()}
         for index, shape in enumerate(robot):
             solid = _solid(shape)
-            placed = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
-            self._mesh(f"{names[shape.link]}/shape{index}", placed, np.asarray(solid.faces), shape.colour)
+            vertices = Rotation.from_quat(shape.quaternion).apply(solid.vertices) + shape.position
+            self._mesh(f"{names[shape.link]}/shape{index}", vertices, np.asarray(solid.faces), shape.colour)
         return frames
 
 
@@ -216,10 +207,3 @@ def _solid(shape: VisualShape) -> trimesh.Trimesh:
         case "sphere":
             return trimesh.creation.icosphere(2, radius=shape.size[0])
     raise UserError(f"robot file: a replay cannot draw a {shape.kind}")
-
-
-def _aim(camera: Any, scene: Scene) -> None:
-    """Look from where the pictures of ``reproduce replay`` are taken."""
-    view = scene_camera(scene)
-    camera.position, camera.look_at, camera.up = view.eye, np.array(view.target), scene.terrain.up()
-    camera.fov = FIELD_OF_VIEW

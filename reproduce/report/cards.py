@@ -26,11 +26,7 @@ CONDITIONS = ["task", "ground", "mass", "posture"]
 
 
 def reference_run(method: str, seed: int | None = None, results: Path = RESULTS) -> Run:
-    """Return the reference run of a method, the first seed unless told otherwise.
-
-    Raises:
-        UserError: When there is none.
-    """
+    """Return the reference run of a method, of its first seed unless ``seed`` is given."""
     get_method(method)
     runs = [r for r in reference_runs(results) if r.method == method and r.origin and seed in (None, r.seed)]
     if not runs:
@@ -40,10 +36,7 @@ def reference_run(method: str, seed: int | None = None, results: Path = RESULTS)
 
 
 def card(run: Run) -> str:
-    """Return a model card in Markdown, with the head that model hubs read.
-
-    The run is a reference run with ``run.json``.
-    """
+    """Return the model card of a trained reference run in Markdown, with the head that model hubs read."""
     rows, conditions, weakest = run.rows(), None, None
     if rows is not None:
         table = by_condition(rows).reset_index()
@@ -63,11 +56,7 @@ def card(run: Run) -> str:
 
 
 def export(method: str, out: Path, seed: int | None = None, results: Path = RESULTS) -> Path:
-    """Copy a reference policy with its card to a folder that can be shared.
-
-    Raises:
-        UserError: When there is no such policy, or the folder is there and not empty.
-    """
+    """Copy a reference policy with its card to a new or empty folder that can be shared."""
     run = reference_run(method, seed, results)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UserError(f"--out: {out} is there and not empty; choose another")

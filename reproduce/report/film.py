@@ -1,6 +1,7 @@
-"""One rescue as a film or a strip of pictures (F5)."""
+"""``reproduce replay``: one rescue as a film, a strip of pictures or a page in three dimensions (F5)."""
 
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,48 @@ from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
-from reproduce.storage.files import write_atomically
+from reproduce.report.viewer import record, write_replay
+from reproduce.storage.errors import UserError
+from reproduce.storage.files import check_writable, write_atomically
 
+FORMATS = (".mp4", ".gif", ".png", ".html")
+SIZE_RANGE = (128, 1920)  # px
 STRIP_PICTURES = 8
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read width and height [px] from text such as 720x528, both multiples of 16."""
+    parts, (low, high) = text.lower().split("x"), SIZE_RANGE
+    if len(parts) != 2 or not all(p.isdecimal() and low <= int(p) <= high and int(p) % 16 == 0 for p in parts):
+        raise UserError(f"--size: expected WIDTHxHEIGHT, multiples of 16 from {low} to {high}; got {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
+def replay(
+    where: str | Path,
+    seed: int,
+    out: Path,
+    posture: str | None = None,
+    task: str | None = None,
+    *,
+    overlay: bool = True,
+    size: tuple[int, int] = SIZE,
+) -> dict[str, Any]:
+    """Write one rescue to a file whose ending says the format; return how it ended.
+
+    Arguments are those of ``film``. Raises ``UserError`` before the rescue where the file could not be written.
+    """
+    kind = out.suffix.lower()
+    if kind not in FORMATS:
+        raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")
+    check_writable(out)
+    if kind == ".html":
+        recording = record(where, seed, posture, task)
+        write_replay(recording, out)
+        return recording.row
+    frames, row = film(where, seed, posture, task, overlay=overlay, size=size)
+    write_atomically(out, partial(_write, kind=kind, frames=frames))
+    return row
 
 
 def film(
@@ -35,33 +75,27 @@ def film(
     """
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     camera = scene_camera(scene, size)
-    env, studio = LunarRescueEnv(), Studio()
     frames: list[Picture] = []
+    with closing(LunarRescueEnv()) as env, closing(Studio()) as studio:
 
-    def take(subgoals: NDArray[Any] | None, note: str) -> None:
-        picture = studio.picture(env.episode, camera)
-        frames.append(draw_overlay(picture, env.episode, camera, subgoals, note) if overlay else picture)
+        def take(subgoals: NDArray[Any] | None, note: str) -> None:
+            picture = studio.picture(env.episode, camera)
+            frames.append(draw_overlay(picture, env.episode, camera, subgoals, note) if overlay else picture)
 
-    with closing(env), closing(studio):
-        row = act_out(env, policy, scene, take)
-    return frames, row
+        return frames, act_out(env, policy, scene, take)
 
 
 def strip(frames: list[Picture], count: int = STRIP_PICTURES, columns: int = 4) -> Picture:
     """Some of the pictures, evenly spaced in time, side by side with a thin gap, read row by row."""
-    chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]
-    chosen += [np.full_like(frames[0], 255)] * (-count % columns)
-    framed = [np.pad(frame, ((0, 4), (0, 4), (0, 0)), constant_values=255) for frame in chosen]
-    rows = [np.hstack(framed[i : i + columns]) for i in range(0, len(framed), columns)]
+    moments = [frames[i] for i in np.linspace(0, len(frames) - 1, count).round().astype(int)]
+    moments += [np.full_like(frames[0], 255)] * (-count % columns)
+    tiles = [np.pad(frame, ((0, 4), (0, 4), (0, 0)), constant_values=255) for frame in moments]
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
     return np.vstack(rows)[:-4, :-4]
 
 
-def write_film(frames: list[Picture], out: Path) -> None:
-    """Write pictures as a film (.mp4, .gif) or as a strip (.png), as the file's ending says."""
-    write_atomically(out, lambda path: _write(path, out.suffix.lower(), frames))
-
-
 def _write(path: Path, kind: str, frames: list[Picture]) -> None:
+    """Write pictures as a film (.mp4, .gif) or as a strip (.png)."""
     if kind == ".mp4":
         frames = frames + frames[-1:] * round(LAST_SECONDS * FRAMES_PER_SECOND)
         imageio.imwrite(path, np.stack(frames), extension=".mp4", plugin="FFMPEG", fps=FRAMES_PER_SECOND)
@@ -72,8 +106,7 @@ def _write(path: Path, kind: str, frames: list[Picture]) -> None:
         _in(palette, strip(frames)).save(path, "PNG", optimize=True)
         return
     first, *rest = (_in(palette, frame) for frame in frames)
-    each = 1000 // FRAMES_PER_SECOND
-    durations = [each] * (len(frames) - 1) + [round(1000 * LAST_SECONDS)]
+    durations = [1000 // FRAMES_PER_SECOND] * len(rest) + [round(1000 * LAST_SECONDS)]
     first.save(path, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
 
 
@@ -81,8 +114,8 @@ def _palette(picture: Picture) -> Image.Image:
     """A palette of 256 colours in which the many greys of the ground leave room for arms, suit and overlay."""
     pixels = picture.reshape(-1, 3)
     vivid = np.ptp(pixels, axis=1) > 30
-    chosen = np.concatenate([pixels[vivid], pixels[~vivid][::12]])
-    return Image.fromarray(chosen[None]).quantize(256)
+    sample = np.concatenate([pixels[vivid], pixels[~vivid][::12]])
+    return Image.fromarray(sample[None]).quantize(256)
 
 
 def _in(palette: Image.Image, picture: Picture) -> Image.Image:

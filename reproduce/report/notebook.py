@@ -14,11 +14,12 @@ import nbformat
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
 
+from reproduce.report.notebooks import failed_output
 from reproduce.report.rendering import TEMPLATES, render
 
-_DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)
-_INLINE = re.compile(r"(?<![\\$\w])\$(?!\s)([^$\n]+?)(?<!\s)\$(?![\w$])")
-_CODE = re.compile(r"(```.*?```|`[^`\n]*`)", re.DOTALL)
+_CODE, _BLOCK = r"```.*?```|`[^`\n]*`", r"\$\$(?P<block>.+?)\$\$"
+_INLINE = r"(?<![\\$\w])\$(?!\s)(?P<inline>[^$\n]+?)(?<!\s)\$(?![\w$])"
+_CODE_OR_MATHEMATICS = re.compile(f"{_CODE}|{_BLOCK}|{_INLINE}", re.DOTALL)
 _HEADING = re.compile(r"^#{1,3} +(.+)$", re.MULTILINE)
 
 
@@ -41,23 +42,18 @@ def fill_in(page: str, pieces: dict[str, str]) -> str:
 def mark_mathematics(text: str, pieces: dict[str, str], prefix: str) -> str:
     """Replace $...$ and $$...$$ outside code by marks for MathML, which browsers render by themselves."""
 
-    def marked(match: re.Match[str], display: Any) -> str:
-        mark = f"@@{prefix}math{len(pieces)}@@"
-        pieces[mark] = str(convert(match.group(1).strip(), display=display)).replace("\n", " ")
+    def put_mark(match: re.Match[str]) -> str:
+        if match.lastgroup is None:  # code
+            return match[0]
+        mark, display = f"@@{prefix}math{len(pieces)}@@", match.lastgroup
+        pieces[mark] = str(convert(match[display].strip(), display=display)).replace("\n", " ")
         return f"\n\n{mark}\n\n" if display == "block" else mark
 
-    parts = _CODE.split(text)
-    for index in range(0, len(parts), 2):
-        part = _DISPLAY.sub(lambda m: marked(m, "block"), parts[index])
-        parts[index] = _INLINE.sub(lambda m: marked(m, "inline"), part)
-    return "".join(parts)
+    return _CODE_OR_MATHEMATICS.sub(put_mark, text)
 
 
-def notebook_page(path: Path, failed: Path | None = None) -> Page:
-    """Make a page of an executed notebook.
-
-    ``failed`` is what is left of a later run that stopped before its end; the page then says so.
-    """
+def notebook_page(path: Path) -> Page:
+    """Make a page of an executed notebook; it says so where a later run stopped before its end."""
     document = nbformat.read(path, as_version=4)
     pieces: dict[str, str] = {}
     prefix, title, heading, texts = path.stem[:2], "", path.stem, []
@@ -73,12 +69,12 @@ def notebook_page(path: Path, failed: Path | None = None) -> Page:
             mark = f"@@{prefix}cell{index}@@"
             pieces[mark] = _cell_html(cell, heading, f"notebooks/{path.name}, cell {index + 1}")
             texts.append(mark)
-    origin = document.metadata.get("papermill", {})
+    origin, failed = document.metadata.get("papermill", {}), failed_output(path.parent, path.stem)
     text = render(
         "notebook.md",
         texts=texts,
         file=path.name,
-        failed=failed and failed.name,
+        failed=failed.name if failed.exists() else None,
         parameters=origin.get("parameters") or {},
         finished=str(origin.get("end_time") or "at an unknown time")[:19],
     )

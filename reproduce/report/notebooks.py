@@ -1,8 +1,4 @@
-"""Run the notebooks with papermill, in order, with nothing of the user's own surroundings in their kernels.
-
-papermill only warns of a parameter that a notebook does not know, and takes any value; here names and values are
-checked for all notebooks before the first one runs.
-"""
+"""Run the notebooks with papermill, in order, with nothing of the user's own surroundings in their kernels."""
 
 import ast
 import os
@@ -22,8 +18,6 @@ from reproduce.report.parameters import check_value
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.paths import NOTEBOOKS, RESULTS, notebook_files
 
-OUTPUTS = "notebooks"
-
 
 @dataclass(frozen=True)
 class Notebook:
@@ -32,11 +26,6 @@ class Notebook:
     path: Path
     defaults: dict[str, Any]
 
-    @property
-    def name(self) -> str:
-        """Return the file's name without its ending."""
-        return self.path.stem
-
 
 def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[Notebook]:
     """Return the notebooks in order, or the one whose number or name is ``only``."""
@@ -44,10 +33,10 @@ def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[N
     if not paths:
         raise UserError(f"{sources}: no notebooks there; they need a checkout of the project")
     if only is not None:
-        known = ", ".join(path.stem for path in paths)
+        names = ", ".join(path.stem for path in paths)
         paths = [path for path in paths if only in (path.stem, path.stem[:2])]
         if not paths:
-            raise UserError(f"--only: expected a number or name of {known}; got {only!r}")
+            raise UserError(f"--only: expected a number or name of {names}; got {only!r}")
     return [Notebook(path, _defaults(path)) for path in paths]
 
 
@@ -77,19 +66,15 @@ def parse_assignments(assignments: list[str]) -> dict[str, Any]:
 
 
 def check_parameters(notebooks: list[Notebook], preset: str, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each notebook by its name.
-
-    Raises:
-        UserError: On an unknown preset, a name that no chosen notebook has, or a value of a wrong type or range.
-    """
+    """Return the parameters of each notebook by its name; refuse names that none of them has, and wrong values."""
     check_value("preset", preset, preset)
-    known = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
+    defaults = {name: default for notebook in notebooks for name, default in notebook.defaults.items()}
     for name, value in given.items():
-        if name not in known:
-            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(known))}")
-        check_value(name, value, known[name])
+        if name not in defaults:
+            raise UserError(f"--parameter: no notebook has {name!r}; expected one of {', '.join(sorted(defaults))}")
+        check_value(name, value, defaults[name])
     everything = {"preset": preset, **given}
-    return {n.name: {name: value for name, value in everything.items() if name in n.defaults} for n in notebooks}
+    return {n.path.stem: {name: everything[name] for name in n.defaults if name in everything} for n in notebooks}
 
 
 def run_notebooks(
@@ -101,17 +86,16 @@ def run_notebooks(
 ) -> Path:
     """Run notebooks; return the folder of what came out.
 
-    Raises:
-        UserError: Before anything runs, on a bad name or value.
-        RunFailedError: When a notebook fails; its output is kept as ``NAME.failed.ipynb``.
+    A bad name or value is refused before anything runs. The output of a notebook that fails is kept as
+    ``NAME.failed.ipynb``.
     """
     notebooks = find_notebooks(only, sources)
     parameters = check_parameters(notebooks, preset, parse_assignments(assignments or []))
-    folder = results.resolve() / OUTPUTS
+    folder = results.resolve() / "notebooks"
     folder.mkdir(parents=True, exist_ok=True)
     with _own_surroundings(results.resolve()):
         for notebook in notebooks:
-            _run(notebook, parameters[notebook.name], folder, sources.parent)
+            _run(notebook.path, parameters[notebook.path.stem], folder, sources.parent)
     return folder
 
 
@@ -143,11 +127,11 @@ def _own_surroundings(results: Path) -> Iterator[None]:
             os.environ.update(before)
 
 
-def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Path) -> None:
-    failed, finished = failed_output(folder, notebook.name), folder / f"{notebook.name}.ipynb"
+def _run(notebook: Path, parameters: dict[str, Any], folder: Path, root: Path) -> None:
+    failed = failed_output(folder, notebook.stem)
     try:
         papermill.execute_notebook(
-            notebook.path,
+            notebook,
             failed,
             parameters=parameters,
             kernel_name="python3",
@@ -160,12 +144,12 @@ def _run(notebook: Notebook, parameters: dict[str, Any], folder: Path, root: Pat
         )
     except (PapermillExecutionError, DeadKernelError) as error:
         what = f"{error.ename}: {error.evalue}" if isinstance(error, PapermillExecutionError) else "the kernel died"
-        where = f"{notebook.name}, cell {stopped_at(failed)}: {what}"
+        where = f"{notebook.stem}, cell {stopped_at(failed)}: {what}"
         raise RunFailedError(f"notebook failed: {where} (output kept in {failed})") from None
     if not is_complete(failed):
-        where = f"{notebook.name}, cell {stopped_at(failed)}"
+        where = f"{notebook.stem}, cell {stopped_at(failed)}"
         raise RunFailedError(f"notebook stopped before its end: {where} (output kept in {failed})")
-    os.replace(failed, finished)
+    failed.replace(folder / notebook.name)
 
 
 def failed_output(folder: Path, name: str) -> Path:
@@ -184,14 +168,14 @@ def is_complete(path: Path) -> bool:
     meta, cells = _read(path)
     # A cell that raises SystemExit ends a notebook with exit code 0 and the rest not run; and papermill calls cells
     # completed that a dead kernel never began.
-    completed = all(cell.get("status") == "completed" and cell.get("start_time") for cell in cells)
-    return not meta.get("exception") and bool(meta.get("end_time")) and completed
+    complete = all(cell.get("status") == "completed" and cell.get("start_time") for cell in cells)
+    return not meta.get("exception") and bool(meta.get("end_time")) and complete
 
 
 def _read(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return what papermill noted of an output notebook and of each code cell of its source."""
     document = nbformat.read(path, as_version=4)
-    added = {"injected-parameters", "papermill-error-cell-tag"}
+    papermill_tags = {"injected-parameters", "papermill-error-cell-tag"}
     code = [cell.metadata for cell in document.cells if cell.cell_type == "code" and cell.source.strip()]
-    cells = [meta.get("papermill", {}) for meta in code if not added & set(meta.get("tags", []))]
+    cells = [meta.get("papermill", {}) for meta in code if not papermill_tags & set(meta.get("tags", []))]
     return document.metadata.get("papermill", {}), cells

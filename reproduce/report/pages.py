@@ -6,6 +6,7 @@ A page's template in ``templates/`` has a block for each of the page's, under th
 import re
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +39,12 @@ def _result(path: str) -> dict[str, Any] | None:
 
 def _joints() -> list[dict[str, Any]]:
     """Return each joint's name, angles [deg] at action 0, -1 and 1, and limits of torque [N m] and speed [rad/s]."""
-    world = simulation.Simulation()
-    try:
+    with closing(simulation.Simulation()) as world:
         arms = robot.Robot(world)
         low, high = (np.degrees(arms.joint_targets(np.full(11, sign))) for sign in (-1.0, 1.0))
         columns = (arms.names, np.degrees(arms.initial), low, high, arms.torque_limits, arms.speed_limits)
         keys = ("name", "at_0", "low", "high", "torque", "speed")
         return [dict(zip(keys, joint, strict=True)) for joint in zip(*columns, strict=True)]
-    finally:
-        world.close()
 
 
 def _readme() -> dict[str, Any]:
@@ -110,11 +108,7 @@ PAGES: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 def rewritten(page: str) -> str:
-    """Return a page's text with its blocks computed again.
-
-    Raises:
-        ValueError: Naming page and block, when a block's lines are not found.
-    """
+    """Return a page's text with its blocks computed again; a ``ValueError`` names a block that the page lacks."""
     text = (ROOT / page).read_text(encoding="utf-8")
     blocks = template(page.rpartition("/")[2])
     context = blocks.new_context(PAGES[page]())

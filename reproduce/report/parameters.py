@@ -24,14 +24,11 @@ PARAMETERS: dict[str, TypeAdapter[Any]] = {
     "gamma": TypeAdapter(Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)]),
 }
 _CHECKED = "_parameters_checked"
+_PLAIN = (str, int, float, bool, list, dict, tuple, type(None))
 
 
 def check_value(name: str, value: Any, default: Any) -> None:
-    """Refuse a value of the wrong type or out of range; what ``PARAMETERS`` does not have has its default's type.
-
-    Raises:
-        UserError: Naming the parameter, what was expected and what came.
-    """
+    """Refuse a value of the wrong type or out of range; what ``PARAMETERS`` does not have has its default's type."""
     if name == "preset" and value not in PRESETS:
         raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {value!r}")
     adapter = PARAMETERS.get(name) or TypeAdapter(type(default), config=STRICT)
@@ -45,25 +42,15 @@ def check_value(name: str, value: Any, default: Any) -> None:
 def check(namespace: dict[str, Any], *names: str) -> None:
     """Check the parameters of the notebook that calls this in its first cell after the parameters.
 
-    ``namespace`` is the notebook's ``globals()``, ``names`` are its own parameters.
-
-    Raises:
-        UserError: On a value out of range, or a name that the notebook does not have.
+    ``namespace`` is the notebook's ``globals()``, ``names`` are its own parameters. A value out of range, or plain data
+    under another public name, which papermill may have put there, is a ``UserError``.
     """
     for name in names:
         check_value(name, namespace[name], namespace[name])
     # Later the notebook has names of its own, and whoever runs this cell again gives no new parameters.
     if not namespace.get(_CHECKED):
-        unknown = sorted(set(map(str, filter(_is_parameter(namespace), namespace))) - set(names))
-        if unknown:
-            raise UserError(f"{unknown[0]}: no parameter of this notebook; expected {', '.join(names)}")
+        brought = namespace["get_ipython"]().user_ns_hidden if "get_ipython" in namespace else {}
+        public = {name for name, value in namespace.items() if name[0] != "_" and isinstance(value, _PLAIN)}
+        if strangers := sorted(public.difference(names, brought)):
+            raise UserError(f"{strangers[0]}: no parameter of this notebook; expected {', '.join(names)}")
     namespace[_CHECKED] = True
-
-
-def _is_parameter(namespace: dict[str, Any]) -> Any:
-    """Tell what papermill may have put there: plain data under a public name that IPython does not bring."""
-    hidden = set()
-    if "get_ipython" in namespace:
-        hidden = set(namespace["get_ipython"]().user_ns_hidden)
-    plain = (str, int, float, bool, list, dict, tuple, type(None))
-    return lambda name: not name.startswith("_") and name not in hidden and isinstance(namespace[name], plain)

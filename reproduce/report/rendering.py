@@ -1,27 +1,24 @@
 """Render the templates in ``templates/``: pages of the report, model cards, computed blocks of README and docs."""
 
 import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
-from reproduce.analysis.tables import markdown_table
-
 TEMPLATES = Path(__file__).with_name("templates")
 
 
+def _cell(value: object) -> str:
+    return str(value).replace("|", "\\|").replace("\n", " ")
+
+
 def _table(frame: pd.DataFrame) -> str:
-    return markdown_table([str(column) for column in frame.columns], frame.to_numpy().tolist())
-
-
-def _percent(share: float, digits: int = 1) -> str:
-    return f"{100 * share:.{digits}f} %"
-
-
-def _span(bounds: tuple[float, float], unit: str = "") -> str:
-    return f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip()
+    cells: list[Iterable[object]] = [frame.columns, *frame.to_numpy().tolist()]
+    head, *rows = (f"| {' | '.join(map(_cell, row))} |" for row in cells)
+    return "\n".join([head, "|" + "---|" * frame.shape[1], *rows, ""])
 
 
 _ENVIRONMENT = Environment(
@@ -31,16 +28,17 @@ _ENVIRONMENT = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-_ENVIRONMENT.filters |= {
-    "cell": lambda text: str(text).replace("|", "\\|").replace("\n", " "),
+FILTERS: dict[str, Callable[..., str]] = {
+    "cell": _cell,
     "count": "{:,.0f}".format,
     "degrees": lambda angle: f"{math.degrees(angle):.0f} deg",
-    "percent": _percent,
+    "percent": lambda share, digits=1: f"{100 * share:.{digits}f} %",
     "points": lambda share: f"{100 * share:.1f}",
-    "span": _span,
+    "span": lambda bounds, unit="": f"{bounds[0]:g} to {bounds[1]:g} {unit}".strip(),
     "spaced": lambda name: str(name).replace("_", " "),
     "table": _table,
 }
+_ENVIRONMENT.filters |= FILTERS
 
 
 def template(name: str) -> Template:
@@ -49,9 +47,5 @@ def template(name: str) -> Template:
 
 
 def render(name: str, **data: Any) -> str:
-    """Return the text of a template filled with data.
-
-    Raises:
-        jinja2.UndefinedError: Where the template wants something that is not in the data.
-    """
+    """Return the text of a template filled with data; what it wants beyond them is Jinja's ``UndefinedError``."""
     return template(name).render(data)

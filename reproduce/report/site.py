@@ -17,10 +17,9 @@ from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import readable_table1
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
-from reproduce.report.gallery import Clip, choose_clips, make_clips
 from reproduce.report.notebook import Page, fill_in, notebook_page
-from reproduce.report.notebooks import failed_output
 from reproduce.report.rendering import render
+from reproduce.report.viewer import Clip, choose_clips, make_clips
 from reproduce.storage.files import write_text
 from reproduce.storage.paths import ROOT, notebook_files
 from reproduce.storage.provenance import provenance
@@ -35,16 +34,16 @@ FOR_SERVERS = ("sitemap.xml", "sitemap.xml.gz", "404.html")
 def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
     """Write ``report/`` from all executed notebooks of a folder and from results/; return its first page.
 
-    The site is built beside and put in place at the end, so a failure leaves the old one.
-
-    ``notebooks`` and ``results`` are folders; ``replays`` makes the 3D replays, a minute's work.
+    The site is built beside and put in place at the end, so a failure leaves the old one. ``replays`` makes the 3D
+    replays, a minute's work.
     """
     runs = reference_runs(results)
     results = results.resolve()
     results.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".report-", dir=results) as name:
         sources, site = Path(name) / "sources", Path(name) / "site"
-        pages = _notebook_pages(notebooks)
+        outputs = (path for path in notebook_files(notebooks) if not path.stem.endswith(".failed"))
+        pages = {path.stem: notebook_page(path) for path in outputs}
         clips = choose_clips(runs) if replays else []
         endings = make_clips(clips, sources / REPLAYS) if clips else {}
         texts = _texts(pages, endings, runs, results)
@@ -60,17 +59,11 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
             for notebook in pages.values():
                 text = fill_in(text, notebook.pieces)
             page.write_text(text, encoding="utf-8")
-        _replace(site, results / "report")
-    return results / "report" / "index.html"
-
-
-def _notebook_pages(folder: Path) -> dict[str, Page]:
-    pages = {}
-    for path in notebook_files(folder):
-        if not path.stem.endswith(".failed"):
-            failed = failed_output(folder, path.stem)
-            pages[path.stem] = notebook_page(path, failed if failed.exists() else None)
-    return pages
+        report = results / "report"
+        if report.exists():
+            report.rename(Path(name) / "old")  # and goes with this folder
+        site.rename(report)
+    return report / "index.html"
 
 
 def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], results: Path) -> dict[str, str]:
@@ -94,8 +87,8 @@ def _policy_file(run: Run) -> str:
 
 def _local_links(text: str) -> str:
     """Turn links to files that the site does not have into plain words."""
-    known = "|".join(map(re.escape, (f"{name}.md" for name in DOCUMENTS)))
-    return re.sub(rf"(?<!!)\[([^\]]+)\]\((?!https?:|#|(?:{known})(?:#|\)))[^)]*\)", r"\1", text)
+    pages = "|".join(map(re.escape, (f"{name}.md" for name in DOCUMENTS)))
+    return re.sub(rf"(?<!!)\[([^\]]+)\]\((?!https?:|#|(?:{pages})(?:#|\)))[^)]*\)", r"\1", text)
 
 
 def _navigation(texts: dict[str, str], runs: list[Run]) -> list[dict[str, Any]]:
@@ -113,23 +106,14 @@ def _navigation(texts: dict[str, str], runs: list[Run]) -> list[dict[str, Any]]:
 
 
 def _build(sources: Path, site: Path, navigation: list[dict[str, Any]]) -> None:
-    made = provenance()
-    origin = f"commit {made['commit'][:12]}, {made['date']}, environment {made['environment_version']}"
+    now = provenance()
+    origin = f"commit {now['commit'][:12]}, {now['date']}, environment {now['environment_version']}"
     logging.getLogger("mkdocs").setLevel(logging.ERROR)
     os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")
     folders = {"docs_dir": str(sources), "site_dir": str(site)}
-    build(load_config(str(CONFIGURATION), nav=navigation, copyright=f"Made by {made['command']}, {origin}", **folders))
-    for left in FOR_SERVERS:
-        (site / left).unlink(missing_ok=True)
-
-
-def _replace(site: Path, target: Path) -> None:
-    old = target.with_name(f".{target.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        target.rename(old)
-    site.rename(target)
-    shutil.rmtree(old, ignore_errors=True)
+    build(load_config(str(CONFIGURATION), nav=navigation, copyright=f"Made by {now['command']}, {origin}", **folders))
+    for name in FOR_SERVERS:
+        (site / name).unlink(missing_ok=True)
 
 
 def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:

@@ -1,4 +1,7 @@
-"""One rescue in three dimensions, as one HTML page that needs no network: viser's player with the recorded motion."""
+"""Rescues in three dimensions, each one HTML page that needs no network: viser's player with the recorded motion.
+
+The report has a success and a failure of each method, and every posture.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,29 @@ import io
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import NDArray
+import torch as th
 
-from lunar_rescue import LunarRescueEnv, Scene
+from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.physics.robot import CONTROL_STEP
 from lunar_rescue.pictures.stage import VisualShape
-from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
+from lunar_rescue.scenes.postures import postures
+from reproduce.analysis.runs import Run
+from reproduce.experiments.methods import METHODS
+from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, ending, load_policy_and_scene
 from reproduce.report.actors import Actors, Moment, Spectator
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
+from reproduce.storage.processes import map_in_processes
 
 if TYPE_CHECKING:
     import viser
 
 BEGIN = 0.3  # s that the first picture stays
+MOST_SCENES = 3000  # looked through for a posture
 LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
 
 
@@ -38,14 +48,9 @@ class Recording:
 def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:
     """Act one rescue out and note where everything is; see ``acting.load_policy_and_scene``."""
     policy, scene = load_policy_and_scene(where, seed, posture, task)
-    env, spectator = LunarRescueEnv(), Spectator()
     moments: list[Moment] = []
-
-    def note(subgoals: NDArray[Any] | None, words: str) -> None:
-        moments.append(spectator.look(env.episode, subgoals, words)[0])
-
-    with closing(env), closing(spectator):
-        row = act_out(env, policy, scene, note)
+    with closing(LunarRescueEnv()) as env, closing(Spectator()) as spectator:
+        row = act_out(env, policy, scene, lambda *what: moments.append(spectator.look(env.episode, *what)[0]))
     return Recording(scene, spectator.robot, moments, row)
 
 
@@ -64,11 +69,7 @@ def viser_server(port: int = 0) -> Iterator[viser.ViserServer]:
 
 
 def write_replay(recording: Recording, out: Path) -> None:
-    """Write the page of a recording.
-
-    Raises:
-        UserError: When it would be larger than ``LARGEST``.
-    """
+    """Write the page of a recording, unless it would be larger than ``LARGEST``."""
     first, *rest = recording.moments
     with viser_server() as server:
         serializer = server.get_scene_serializer()
@@ -84,3 +85,54 @@ def write_replay(recording: Recording, out: Path) -> None:
     if len(page) > LARGEST:
         raise UserError(f"{out}: the replay would take {len(page)} bytes, more than {LARGEST}")
     write_text(out, page)
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One replay of the report's page of replays."""
+
+    group: str  # heading that it belongs to
+    label: str  # what the reader clicks on
+    where: str  # run folder, or a method's name
+    seed: int  # of the scene
+    file: str  # name of its page
+
+
+def choose_clips(runs: list[Run]) -> list[Clip]:
+    """Choose a success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
+    clips = []
+    for run, rows in ((run, rows) for run in runs if (rows := run.rows()) is not None):
+        title = METHODS[run.method].title + (f", seed {run.seed}" if run.origin else "")
+        for success, word in ((True, "success"), (False, "failure")):
+            for seed in rows["seed"][rows["success"] == success].head(1).tolist():
+                name = f"{run.method}-{run.seed}-{word}.html"
+                clips.append(Clip(title, f"{word}: scene {seed}", _where(run), seed, name))
+    hrl_dcs = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)
+    where, who = (_where(hrl_dcs), METHODS["hrl_dcs"].title) if hrl_dcs else ("scripted", METHODS["scripted"].title)
+    missing = set(postures())
+    for seed in range(MOST_SCENES):
+        scene = sample_scene(seed)
+        if scene.posture in missing:
+            missing.discard(scene.posture)
+            label = f"{scene.posture.replace('_', ' ')} ({scene.task.replace('_', ' ')}, scene {seed})"
+            clips.append(Clip(f"The 20 postures, {who}", label, where, seed, f"posture-{scene.posture}.html"))
+        if not missing:
+            break
+    return clips
+
+
+def _where(run: Run) -> str:
+    return str(run.folder) if run.origin else run.method
+
+
+def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
+    """Write the replays' pages; return how each one ended, in words."""
+    folder.mkdir(parents=True, exist_ok=True)
+    endings = map_in_processes(partial(_make, folder=folder), clips, prepare=th.set_num_threads, arguments=(1,))
+    return dict(zip(clips, endings, strict=True))
+
+
+def _make(clip: Clip, folder: Path) -> str:
+    recording = record(clip.where, clip.seed)
+    write_replay(recording, folder / clip.file)
+    return f"{ending(recording.row)} after {recording.row['steps'] * CONTROL_STEP:.1f} s"

@@ -22,7 +22,6 @@ from reproduce.storage.errors import UserError
 if TYPE_CHECKING:
     import viser
 
-PORT = 8080
 PAUSE = 2.0  # s, after each rescue
 LAG = 0.5  # s, that a slow picture may be made up for by quicker ones after it
 PATIENCE = 60.0  # s, that the first rescue waits for somebody to open the page
@@ -34,24 +33,26 @@ def watch(
     rescues: int = 0,
     posture: str | None = None,
     task: str | None = None,
-    port: int = PORT,
+    port: int = 8080,
     tell: Callable[[str], None] = print,
 ) -> None:
     """Play rescues one after another in the browser, from the scene of ``seed`` on, until interrupted.
 
     ``where`` is a run folder or a method that does not learn; ``seed`` is the first scene's; 0 ``rescues`` never end,
     and ``port`` 0 is a free one. ``tell`` is called with the page's address, then with a line about each rescue.
-
-    Raises:
-        UserError: On a wrong argument, or a port that is taken.
     """
     if rescues < 0:
         raise UserError(f"--rescues: expected at least 0, got {rescues}")
-    _check_port(port)
+    try:  # viser would take the next port without a word
+        socket.create_server(("127.0.0.1", port)).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(f"--port: {port} cannot be served on: {error}") from None
     policy, _ = load_policy_and_scene(where, seed, posture, task)
     with viser_server(port) as server, closing(LunarRescueEnv()) as env, closing(LiveView(server)) as live:
         tell(f"watch at http://localhost:{server.get_port()} (Ctrl-C ends it)")
-        live.wait_for_somebody(PATIENCE)
+        end = time.monotonic() + PATIENCE
+        while not server.get_clients() and time.monotonic() < end:
+            time.sleep(0.1)
         for number in itertools.count(seed) if rescues == 0 else range(seed, seed + rescues):
             scene = sample_scene(number, posture=posture, task=task)
             row = act_out(env, policy, scene, lambda *what: live.show(env.episode, *what))
@@ -59,32 +60,13 @@ def watch(
             time.sleep(PAUSE)
 
 
-def _check_port(port: int) -> None:
-    """Refuse a port that cannot be served on; viser would take the next one without a word."""
-    if not 0 <= port <= 65535:
-        raise UserError(f"--port: expected 0 to 65535, got {port}")
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise UserError(f"--port: {port} cannot be served on: {error.strerror}") from None
-
-
 class LiveView:
     """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        """Begin with the empty scene of a server, which serves the page."""
         self._server, self._spectator = server, Spectator()
         self._actors: Actors | None = None
         self._due = 0.0
-
-    def wait_for_somebody(self, seconds: float) -> None:
-        """Wait until the page is open in a browser, or so many seconds are over."""
-        end = time.monotonic() + seconds
-        while not self._server.get_clients() and time.monotonic() < end:
-            time.sleep(0.1)
 
     def show(self, episode: Any, subgoals: NDArray[Any] | None = None, words: str = "") -> None:
         """Show where everything is now, when it is time for it; see ``Spectator.look``."""

@@ -6,6 +6,7 @@ Environments begin anew at a checkpoint, also in a run that is not interrupted, 
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +22,7 @@ from reproduce.storage.files import write_atomically
 from reproduce.storage.policies import read_tensors
 from reproduce.storage.records import differences, from_dict, to_dict
 
-NAME = "checkpoint.safetensors"
+CHECKPOINT = "checkpoint.safetensors"
 VERSION = 3
 LARGEST = 8_000_000_000  # bytes; a large replay buffer is in it
 
@@ -44,9 +45,9 @@ class Learner(Protocol):
 class Progress:
     """How far a training is, in counters."""
 
-    update: NonNegativeInt  # Updates done
-    steps: NonNegativeInt  # Environment steps done
-    seconds: NonNegativeFloat  # Seconds spent training, over all sessions
+    update: NonNegativeInt  # updates that were made
+    steps: NonNegativeInt  # environment steps
+    seconds: NonNegativeFloat  # spent training, over all sessions
 
 
 def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Progress, config: dict[str, Any]) -> None:
@@ -62,21 +63,26 @@ def save_checkpoint(folder: Path, learners: Mapping[str, Learner], progress: Pro
         "learners": {level: learner.state_numbers() for level, learner in learners.items()},
     }
     for level, learner in learners.items():
-        for name, tensor in learner.state_tensors().items():
-            tensors[f"{level}.{name}"] = tensor.detach().contiguous()
-    metadata = {"meta": json.dumps(meta)}
-    write_atomically(folder / NAME, lambda path: save_file(tensors, path, metadata=metadata))
+        tensors |= {f"{level}.{name}": tensor.detach().contiguous() for name, tensor in learner.state_tensors().items()}
+    write_atomically(folder / CHECKPOINT, partial(save_file, tensors, metadata={"meta": json.dumps(meta)}))
 
 
 def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[str, Any]) -> Progress:
     """Restore learners and random states; ``UserError`` without a whole checkpoint of this configuration."""
-    path = folder / NAME
+    path = folder / CHECKPOINT
     tensors = read_tensors(path, LARGEST)
-    meta = _read_meta(path)
+    with safe_open(path, framework="pt") as file:
+        text = (file.metadata() or {}).get("meta", "")
+    try:
+        meta = json.loads(text)
+    except (ValueError, RecursionError):
+        meta = None
+    if not isinstance(meta, dict) or meta.get("version") != VERSION or not isinstance(meta.get("config"), dict):
+        raise UserError(f"{path}: not a checkpoint of version {VERSION}")
     if changes := differences(meta["config"], config):
         raise UserError(f"{path}: was made with another configuration: {', '.join(changes[:3])}")
     try:
-        progress = from_dict(Progress, meta["progress"], "progress.")
+        progress = from_dict(Progress, meta["progress"], f"{path}: progress.")
         for level, learner in learners.items():
             learner.load_state(_under(level, tensors), meta["learners"][level])
         th.set_rng_state(tensors["torch_rng"])
@@ -87,22 +93,9 @@ def load_checkpoint(folder: Path, learners: Mapping[str, Learner], config: dict[
     return progress
 
 
-def _read_meta(path: Path) -> dict[str, Any]:
-    with safe_open(path, framework="pt") as file:
-        text = (file.metadata() or {}).get("meta", "")
-    try:
-        meta = json.loads(text)
-    except (ValueError, RecursionError):
-        meta = None
-    if not isinstance(meta, dict) or meta.get("version") != VERSION or not isinstance(meta.get("config"), dict):
-        raise UserError(f"{path}: not a checkpoint of version {VERSION}")
-    return meta
-
-
 def _under(name: str, tensors: Mapping[str, th.Tensor]) -> dict[str, th.Tensor]:
     """Return the tensors whose names begin with ``name`` and a dot, without both."""
-    prefix = f"{name}."
-    return {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
+    return {key.removeprefix(f"{name}."): value for key, value in tensors.items() if key.startswith(f"{name}.")}
 
 
 def module_tensors(name: str, module: th.nn.Module) -> dict[str, th.Tensor]:
@@ -133,11 +126,6 @@ def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[st
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
 
 
-def delete_checkpoint(folder: Path) -> None:
-    """Remove the checkpoint of a finished training."""
-    (folder / NAME).unlink(missing_ok=True)
-
-
 def has_checkpoint(folder: Path) -> bool:
     """Return whether a training can go on from here."""
-    return (folder / NAME).is_file()
+    return (folder / CHECKPOINT).is_file()

@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -30,11 +30,7 @@ def check_writable(path: Path) -> None:
             if not os.access(path, os.W_OK):
                 raise UserError(f"{path}: cannot be written: permission denied")
             return
-        folder = path.resolve().parent
-        while not os.path.lexists(folder):
-            folder = folder.parent
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        tempfile.TemporaryFile(dir=next(filter(os.path.lexists, path.resolve().parents))).close()
     except OSError as error:
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 
@@ -58,8 +54,8 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 def is_stream(path: Path) -> bool:
     """Return whether a path is no regular file, or a shell's redirection, so that nothing can lie beside it."""
-    named = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
-    return path.exists() and (named or not path.is_file())
+    is_redirection = any(path.absolute().is_relative_to(stream) for stream in _STREAMS)
+    return path.exists() and (is_redirection or not path.is_file())
 
 
 def _replace(path: Path, write: Callable[[Path], object]) -> None:
@@ -94,7 +90,9 @@ def locked(folder: Path, what: str, *, name: str = LOCK, wait: bool = False) -> 
         folder.mkdir(parents=True, exist_ok=True)
         lock = _acquire(folder / name, wait)
     except BlockingIOError:
-        owner = _owner(folder / name)
+        owner = ""
+        with suppress(OSError):  # it may be gone by now
+            owner = f" ({(folder / name).read_text(encoding='utf-8', errors='replace').strip() or 'unknown'})"
         raise UserError(f"{folder}: {what} is in use by another process{owner}; wait for it or name another") from None
     except OSError as error:
         raise UserError(f"{folder}: {what} cannot be written there: {error.strerror or error}") from None
@@ -108,18 +106,15 @@ def locked(folder: Path, what: str, *, name: str = LOCK, wait: bool = False) -> 
 def _acquire(path: Path, wait: bool) -> IO[str]:
     """Open and lock a file, again where another process has removed it in between."""
     while True:
-        lock = path.open("a", encoding="utf-8")
-        try:
+        with ExitStack() as stack:
+            lock = stack.enter_context(path.open("a", encoding="utf-8"))
             fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             if _is_same_file(lock, path):
                 lock.truncate(0)
                 lock.write(f"process {os.getpid()}")
                 lock.flush()
+                stack.pop_all()
                 return lock
-        except BaseException:
-            lock.close()
-            raise
-        lock.close()
 
 
 def _is_same_file(file: IO[str], path: Path) -> bool:
@@ -127,13 +122,6 @@ def _is_same_file(file: IO[str], path: Path) -> bool:
         return os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:
         return False
-
-
-def _owner(path: Path) -> str:
-    try:
-        return f" ({path.read_text(encoding='utf-8', errors='replace').strip() or 'unknown'})"
-    except OSError:
-        return ""
 
 
 def write_json(path: Path, data: Any) -> None:

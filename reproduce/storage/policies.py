@@ -74,44 +74,33 @@ def read_policy_json(folder: Path) -> dict[str, Any]:
 
 def load_policy_config(folder: Path, kind: type[Record]) -> Record:
     """Read what ``policy.json`` holds besides networks; ``UserError`` names a field that is missing or wrong."""
-    raw = {
-        k: v
-        for k, v in read_policy_json(folder).items()
-        if k not in ("format", "environment_version", "method", "networks")
-    }
-    return _record(kind, raw, f"{folder / 'policy.json'}: ")
-
-
-def _record(kind: type[Record], raw: Any, where: str) -> Record:
-    try:
-        return from_dict(kind, raw, where)
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    head = ("format", "environment_version", "method", "networks")
+    raw = {k: v for k, v in read_policy_json(folder).items() if k not in head}
+    return from_dict(kind, raw, f"{folder / 'policy.json'}: ")
 
 
 def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: type[Spec]) -> dict[str, Any]:
     """Build and fill the networks of a run folder, each described by a ``kind``.
 
-    ``expected`` are each level's sizes of observation and action. A missing or damaged file, a wrong name or a wrong
-    shape is a ``UserError``.
+    ``expected`` are each level's sizes of observation and action; whatever else the files hold is a ``UserError``.
     """
     raw, path = read_policy_json(folder), folder / "policy.json"
     if set(raw["networks"]) != set(expected):
         raise UserError(f"{path}: networks: expected {sorted(expected)}, got {reprlib.repr(sorted(raw['networks']))}")
     networks = {}
     for level, sizes in expected.items():
-        spec = _record(kind, raw["networks"][level], f"{path}: networks.{level}.")
-        if (found := (spec.observations, spec.actions)) != sizes:
-            raise UserError(f"{path}: networks.{level}: expected observations and actions {sizes}, got {found}")
+        spec = from_dict(kind, raw["networks"][level], f"{path}: networks.{level}.")
+        if (own := (spec.observations, spec.actions)) != sizes:
+            raise UserError(f"{path}: networks.{level}: expected observations and actions {sizes}, got {own}")
         networks[level] = spec.build()
     weights = folder / "policy.safetensors"
     tensors = read_tensors(weights)
     for level, network in networks.items():
         fill(network, tensors, weights, level)
         network.set_training_mode(False)
-    known = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
-    if unknown := sorted(set(tensors).difference(known)):
-        raise UserError(f"{weights}: unknown tensor {unknown[0]!r}")
+    names = (f"{level}.{name}" for level, network in networks.items() for name in network.state_dict())
+    if strangers := sorted(set(tensors).difference(names)):
+        raise UserError(f"{weights}: unknown tensor {strangers[0]!r}")
     return networks
 
 
@@ -135,11 +124,11 @@ def read_tensors(path: Path, most: int = LARGEST_WEIGHTS) -> dict[str, th.Tensor
 def fill(network: th.nn.Module, tensors: Mapping[str, th.Tensor], path: Path, level: str) -> None:
     """Copy the tensors of a level into its network; names, shapes and types must be right."""
     state = network.state_dict()
-    for name, wanted in state.items():
+    for name, target in state.items():
         tensor = tensors.get(f"{level}.{name}")
         if tensor is None:
             raise UserError(f"{path}: {level}.{name} is missing")
-        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
-            expected, found = (f"{tuple(t.shape)} {t.dtype}" for t in (wanted, tensor))
-            raise UserError(f"{path}: {level}.{name}: expected {expected}, got {found}")
+        if tensor.shape != target.shape or tensor.dtype != target.dtype:
+            expected, actual = (f"{tuple(t.shape)} {t.dtype}" for t in (target, tensor))
+            raise UserError(f"{path}: {level}.{name}: expected {expected}, got {actual}")
     network.load_state_dict({name: tensors[f"{level}.{name}"] for name in state})

@@ -68,11 +68,11 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
 def start_fork_server() -> None:
     """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
-    chosen = tempfile.gettempdir()
-    if len(chosen) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
+    own_folder = tempfile.gettempdir()
+    if len(own_folder) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
         tempfile.tempdir = "/tmp"
         util.get_temp_dir()
-        tempfile.tempdir = chosen
+        tempfile.tempdir = own_folder
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)

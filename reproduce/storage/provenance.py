@@ -8,11 +8,14 @@ import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.storage.files import locked, read_json, write_json
+from reproduce.storage.files import locked, read_json, write_atomically, write_json
 from reproduce.storage.paths import INSTALLED, ROOT
 
 PACKAGES = ("pybullet", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "lunar-rescue")
@@ -26,11 +29,7 @@ def provenance() -> dict[str, Any]:
         "environment_version": ENVIRONMENT_VERSION,
         "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
         "python": platform.python_version(),
-        "machine": {
-            "system": platform.system(),
-            "processor": _processor(),
-            "cores": len(os.sched_getaffinity(0)),
-        },
+        "machine": {"system": platform.system(), "processor": _processor(), "cores": len(os.sched_getaffinity(0))},
         "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
     }
 
@@ -39,8 +38,15 @@ def record_origin(path: Path) -> None:
     """Note in ``origins.json`` beside a file which command made it, for formats that cannot carry it themselves."""
     register, origin = path.parent / "origins.json", provenance()
     with locked(path.parent, "register of origins", name=".origins.lock", wait=True):
-        known = read_json(register, "register of origins") if register.is_file() else {}
-        write_json(register, {**known, path.name: origin})
+        entries = read_json(register, "register of origins") if register.is_file() else {}
+        write_json(register, {**entries, path.name: origin})
+
+
+def write_table(path: Path, table: pd.DataFrame) -> Path:
+    """Write a table as CSV, without its index, note its origin, and return its path."""
+    write_atomically(path, partial(table.to_csv, index=False))
+    record_origin(path)
+    return path
 
 
 def command_line() -> str:
@@ -66,13 +72,13 @@ def commit(root: Path = INSTALLED) -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")
-        return git("rev-parse", "HEAD") + ("+changes" if changed else "")
+        edits = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!/results", ":!/docs", ":!/*.md")
+        return git("rev-parse", "HEAD") + ("+changes" if edits else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 
 
 def _processor() -> str:
     path = Path("/proc/cpuinfo")
-    found = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
-    return found[1].strip() if found else platform.machine()
+    name = re.search(r"^model name.*?:(.*)$", path.read_text(encoding="utf-8"), re.M) if path.exists() else None
+    return name[1].strip() if name else platform.machine()

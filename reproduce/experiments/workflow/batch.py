@@ -16,9 +16,9 @@ import pandas as pd
 
 from reproduce.experiments.workflow.plan import TARGETS, Job, Plan
 from reproduce.storage.errors import RunFailedError, UserError
-from reproduce.storage.files import locked, write_atomically, write_json
+from reproduce.storage.files import locked, write_json
 from reproduce.storage.processes import end_with
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 HERE = Path(__file__).parent
 PROFILES = ("local", "slurm")
@@ -38,15 +38,11 @@ def run_batch(
     dry_run: bool = False,
     echo: Echo = print,
 ) -> None:
-    """Do what of a plan is not done yet.
+    """Do what of a plan is not done yet; a ``RunFailedError`` lists what failed.
 
     ``out`` is laid out as results/ is; ``profile`` is ``local``, ``slurm`` or a folder with a Snakemake profile;
     ``slots`` are steps at once; ``until`` is one of ``TARGETS``; ``dry_run`` only says what is left; ``echo`` takes
     lines for people.
-
-    Raises:
-        UserError: When the folder cannot be written or belongs to another batch under way.
-        RunFailedError: With the list of what failed.
     """
     out, options = out.resolve(), _options(plan, profile, slots, until)
     if dry_run:
@@ -54,12 +50,12 @@ def run_batch(
         return
     with locked(out, "the batch", name=LOCK) as lock:
         write_json(out / "batch.json", asdict(plan))
-        begun = time.time()
+        start = time.time()
         code = _run(_command(out, out / "batch.json", options), out, lock, echo)
         jobs = plan.jobs(until)
-        failed = [job for job in jobs if not (out / job.output).is_file()]
-        if code or failed:
-            raise RunFailedError(_what_failed(failed, code, out, begun))
+        failures = [job for job in jobs if not (out / job.output).is_file()]
+        if code or failures:
+            raise RunFailedError(_what_failed(failures, code, out, start))
         _write_timings(jobs, out)
 
 
@@ -116,11 +112,11 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
         path = Path(scratch) / "batch.json"
         write_json(path, asdict(plan))
         command = [*_command(out if out.is_dir() else Path(scratch), path, options), "--dry-run"]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RunFailedError(f"batch: Snakemake ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
+        result = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise RunFailedError(f"batch: Snakemake ended with code {result.returncode}: {result.stderr.strip()[-400:]}")
     steps = 0
-    for line in map(str.strip, (done.stdout + done.stderr).splitlines()):
+    for line in map(str.strip, (result.stdout + result.stderr).splitlines()):
         kind, _, rest = line.partition(": ")
         if kind == "output":
             steps += 1
@@ -133,28 +129,20 @@ def _tell_what_is_left(plan: Plan, out: Path, options: list[str], echo: Echo) ->
 
 def _write_timings(jobs: list[Job], out: Path) -> None:
     """Write ``timings.csv``: seconds of each step, as Snakemake measured them."""
-    rows = [
-        {"rule": j.rule, "step": j.name, "output": str(j.output), "seconds": _seconds(out / j.timing)} for j in jobs
-    ]
-    write_atomically(out / "timings.csv", lambda path: pd.DataFrame(rows).to_csv(path, index=False))
-    record_origin(out / "timings.csv")
+    files = {job.label: out / f"timings/{job.label}.tsv" for job in jobs}
+    seconds = {label: pd.read_csv(file, sep="\t")["s"].iloc[-1] for label, file in files.items() if file.is_file()}
+    rows = [(job.rule, job.name, job.output, seconds.get(job.label)) for job in jobs]
+    write_table(out / "timings.csv", pd.DataFrame(rows, columns=["rule", "step", "output", "seconds"]))
 
 
-def _seconds(path: Path) -> float | None:
-    try:
-        return float(pd.read_csv(path, sep="\t")["s"].iloc[-1])
-    except (OSError, ValueError, KeyError, IndexError):
-        return None
-
-
-def _what_failed(failed: list[Job], code: int, out: Path, begun: float) -> str:
+def _what_failed(failures: list[Job], code: int, out: Path, start: float) -> str:
     """Return the steps that ran and failed, each with the end of its log, and how many wait for them."""
-    ends = {job: _end_of_log(out / job.log, begun) for job in failed}
-    faults = [f"{job.name}: {end} ({out / job.log})" for job, end in ends.items() if end]
-    waiting = len(failed) - len(faults)
+    logs = {job.name: out / f"logs/{job.label}.log" for job in failures}
+    faults = [f"{name}: {end} ({log})" for name, log in logs.items() if (end := _end_of_log(log, start))]
+    waiting = len(failures) - len(faults)
     if not faults:
         log = out / "logs" / "snakemake.log"
-        faults = [f"Snakemake ended with code {code}: {_end_of_log(log, begun)} ({log})"]
+        faults = [f"Snakemake ended with code {code}: {_end_of_log(log, start)} ({log})"]
     rest = f"; {waiting} steps wait for that" if waiting else ""
     return f"batch failed: {'; '.join(faults)}{rest}; the same command goes on from there"
 

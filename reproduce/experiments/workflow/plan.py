@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
+import re
 from dataclasses import field
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from lunar_rescue import ENVIRONMENT_VERSION
-from reproduce.experiments.evaluations import EVALUATIONS, TESTS, evaluations_of
+from reproduce.experiments.evaluations import evaluations_of
 from reproduce.experiments.methods import METHODS, get_method
 from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
-from reproduce.storage.files import read_json
 from reproduce.storage.paths import notebook_files
-from reproduce.storage.records import to_dict
+from reproduce.storage.records import read_record, to_dict
 
 #: What `reproduce tables` and its like write of all evaluations.
 TABLES = ("table1.csv", "claims.json", "tables/success.csv")
@@ -38,17 +36,7 @@ class Job:
     rule: str  # rule of the Snakefile that does it
     name: str  # what people call it, such as "train hrl_dcs seed 0"
     output: Path  # the file that it writes; the step is done when it is there
-    label: str  # stem of its log and of the file with its seconds
-
-    @property
-    def log(self) -> Path:
-        """File that takes what the step prints."""
-        return Path(f"logs/{self.rule}_{self.label}.log")
-
-    @property
-    def timing(self) -> Path:
-        """File in which Snakemake notes the step's seconds."""
-        return Path(f"timings/{self.rule}_{self.label}.tsv")
+    label: str  # stem of logs/LABEL.log, which takes what it prints, and of timings/LABEL.tsv with its seconds
 
 
 @dataclass(frozen=True)
@@ -67,21 +55,16 @@ class Plan:
     @classmethod
     def make(cls, preset: str, methods: list[str], seeds: list[int], threads: int) -> Plan:
         """Plan the batch of some methods and seeds, in any order; an unknown preset or method is a UserError."""
-        wanted = {get_method(method).name for method in methods}
-        names = [name for name in METHODS if name in wanted]
+        selection = {get_method(method).name for method in methods}
+        names = [name for name in METHODS if name in selection]
         digests = {name: _digest(METHODS[name].config(preset)) for name in names}
         return cls(preset, tuple(names), tuple(sorted(set(seeds))), threads, ENVIRONMENT_VERSION, digests)
 
     @classmethod
     def read(cls, path: Path) -> Plan:
         """Read a plan that a batch has written; a UserError where the file is missing or holds none."""
-        data = read_json(path, "plan of a batch")
-        try:
-            return TypeAdapter(cls).validate_python(data)
-        except ValidationError as error:
-            fault = error.errors()[0]
-            where = ".".join(map(str, fault["loc"]))
-            raise UserError(f"{path}: plan of a batch: {where}: {fault['msg']}") from None
+        plan: Plan = read_record(path, "plan of a batch", cls)
+        return plan
 
     def learns(self, method: str) -> bool:
         """Return whether a method has to be trained."""
@@ -90,10 +73,6 @@ class Plan:
     def runs(self) -> list[tuple[str, int]]:
         """Return each method with each of its seeds; a method that does not learn has seed 0 alone."""
         return [(m, s) for m in self.methods for s in (self.seeds if self.learns(m) else (0,))]
-
-    def tests(self, check: str) -> int:
-        """Return the number of scenes of an evaluation."""
-        return TESTS[self.preset][EVALUATIONS[check].few]
 
     def policies(self) -> list[str]:
         """Return the files that say that a training has ended."""
@@ -109,15 +88,17 @@ class Plan:
         for method, seed in self.runs():
             name, label, where = f"{method} seed {seed}", f"{method}_seed{seed}", Path(folder(method, seed))
             if self.learns(method):
-                jobs.append(Job("train", f"train {name}", where / "run.json", label))
+                jobs.append(Job("train", f"train {name}", where / "run.json", f"train_{label}"))
             if until != "policies":
                 for check in evaluations_of(method):
-                    jobs.append(Job("evaluate", f"{check} of {name}", where / f"{check}.json", f"{label}_{check}"))
+                    file, stem = where / f"{check}.json", f"evaluate_{label}_{check}"
+                    jobs.append(Job("evaluate", f"{check} of {name}", file, stem))
         if until != "policies":
-            jobs.append(Job("tables", "tables", Path(TABLES[-1]), "all"))
+            jobs.append(Job("tables", "tables", Path(TABLES[-1]), "tables_all"))
         if until == "report":
-            jobs += [Job("notebook", f"notebook {n}", Path(f"notebooks/{n}.ipynb"), n) for n in self.notebooks]
-            jobs.append(Job("report", "report", Path(REPORT), "all"))
+            for name in self.notebooks:
+                jobs.append(Job("notebook", f"notebook {name}", Path(f"notebooks/{name}.ipynb"), f"notebook_{name}"))
+            jobs.append(Job("report", "report", Path(REPORT), "report_all"))
         return jobs
 
 
@@ -134,17 +115,11 @@ def parse_seeds(text: str) -> list[int]:
     """Return the seeds that a text such as ``0-4`` or ``0,2,7`` names; a UserError says what else was given."""
     seeds: list[int] = []
     for part in text.split(","):
-        first, separator, last = part.strip().partition("-")
-        numbers = [first, last] if separator else [first]
-        if not all(n.isascii() and n.isdigit() and len(n) < 10 for n in numbers):
+        numbers = re.fullmatch(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*", part)
+        if numbers is None:
             raise UserError(f"--seeds: expected numbers and ranges such as 0-4 or 0,2,7; got {text!r}")
-        low, high = int(numbers[0]), int(numbers[-1])
+        low, high = int(numbers[1]), int(numbers[2] or numbers[1])
         if high < low or high - low >= MOST_SEEDS:
             raise UserError(f"--seeds: expected a range upwards of at most {MOST_SEEDS} seeds; got {part.strip()!r}")
         seeds += range(low, high + 1)
     return seeds
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
