@@ -42,7 +42,7 @@ def test_a_summary_by_hand() -> None:
 
 
 def test_settings_are_named_by_their_paces() -> None:
-    assert label(SETTINGS) == "20 ms x 20, 10 ms x 30" and SETTINGS in GRID
+    assert label(SETTINGS) == "20 ms x 10, 10 ms x 50" and SETTINGS in GRID
     assert label(SolverSettings(0.0025, 200, 0.0025, 200)) == label(GRID[-1]) == "2.5 ms x 200"
 
 

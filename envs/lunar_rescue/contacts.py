@@ -61,9 +61,12 @@ def both_arms_under(simulation: Simulation, episode: Episode, distance: Array) -
 def hold(simulation: Simulation, robot: Robot, episode: Episode) -> Array:
     """Let a control step pass and return the force of each arm on the astronaut, its mean over the step, (2, 3) [N].
 
-    Contacts are read after each substep, near ones too, which says from where on the solver has to be fine. Means, as a
-    stiff contact's peaks tell of the solver and not of the rescue.
+    Contacts are read after each substep, near ones too, which also says from where on the solver has to be fine. Means,
+    as a stiff contact's peaks tell of the solver and not of the rescue.
     """
+    close = episode.process == 2 or bool(episode.recent[-1].min() < simulation.settings.near)
+    # Here and not after the last step's end, as Bullet divides impulses by the present substep where torques are read.
+    simulation.solve_finely(close or episode.touched)
     handle, impulses, left = episode.astronaut.handle, [[0.0] * 3, [0.0] * 3], CONTROL_STEP
     while left > 1e-9:
         simulation.advance(1)
@@ -73,9 +76,9 @@ def hold(simulation: Simulation, robot: Robot, episode: Episode) -> Array:
             for impulse, links in zip(impulses, robot.arm_links, strict=True):
                 if link in links:
                     impulse[:] = [a + simulation.pace.substep * b for a, b in zip(impulse, force, strict=True)]
-        # Back to coarse substeps with the next control step only, which holds a whole number of them.
-        if rows or left < 1e-9:
-            simulation.solve_finely(bool(rows))
+        episode.touched = bool(rows)
+        if rows and left > 1e-9:  # back to coarse substeps with a control step only, which holds a whole number of them
+            simulation.solve_finely(True)
     return np.array(impulses) / CONTROL_STEP
 
 

@@ -39,6 +39,7 @@ class Episode:
     held: int = 0
     steps: int = 0
     rock_contact: bool = False
+    touched: bool = False  # whether an arm was within some 2 cm of the suit at the end of the last substep
     aapf: float = 0.0  # AAPF term of the last step
     nearest_mark: float = math.inf  # least distance of a joint to a mark point in any step [m]
     forces: Array = field(

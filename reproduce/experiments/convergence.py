@@ -58,7 +58,7 @@ _STATE: dict[str, Any] = {}
 
 
 def label(settings: SolverSettings) -> str:
-    """Return a setting in short, such as ``"20 ms x 20, 10 ms x 50"``: free of the astronaut, and at it, if other."""
+    """Return a setting in short, such as ``"20 ms x 10, 10 ms x 50"``: free of the astronaut, and at it, if other."""
     paces = dict.fromkeys((settings.free, settings.fine))
     return ", ".join(f"{1000 * pace.substep:g} ms x {pace.iterations}" for pace in paces)
 

@@ -37,12 +37,15 @@ class SolverSettings:
 
     substep: Substep = 0.01
     """Length of a substep while an arm is at the astronaut [s]."""
-    iterations: Iterations = 30
+    iterations: Iterations = 50
     """Iterations of the solver while an arm is at the astronaut."""
     free_substep: Substep = 0.02
     """Length of a substep while none is [s]: a body at rest and arms in the air need no less."""
-    free_iterations: Iterations = 20
+    free_iterations: Iterations = 10
     """Iterations while none is."""
+    near: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
+    """Distance of an arm's end to its target from which on it counts as at the astronaut [m]; so does process 2, and any
+    arm within some 2 cm of the suit."""
 
     def __post_init__(self) -> None:
         """Refuse substeps that do not fill a control step, or that do not fit into each other."""
