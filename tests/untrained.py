@@ -7,7 +7,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from reproduce.experiments.methods import METHODS, export_policy
+from reproduce.experiments.methods import METHODS
+from reproduce.storage.policies import save_policy
 
 
 @cache
@@ -15,7 +16,7 @@ def _exported(method: str) -> Path:
     chosen, folder = METHODS[method], Path(tempfile.mkdtemp(prefix="untrained-"))
     assert chosen.train is not None
     training = chosen.train(chosen.config("smoke"), 0)
-    export_policy(folder, chosen, training)
+    save_policy(folder, method, training.networks(), training.config.policy)
     training.close()
     return folder
 
