@@ -267,6 +267,22 @@ def solvable(
 
 
 @app.command()
+def demonstrate(
+    scenes: Annotated[int, typer.Option(min=1, help="training scenes")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            parser=console.as_file, metavar="FILE", help="file to write; one with fewer scenes is gone on with"
+        ),
+    ],
+) -> None:
+    """Let the planner rescue training scenes, plain and under noise, as demonstrations."""
+    from reproduce.experiments.demonstrate import demonstrate as make
+
+    make(scenes, out, tell=typer.echo)
+
+
+@app.command()
 def convergence(
     actors: Annotated[list[str], typer.Argument(help="run folders, methods that do not learn, and plans")],
     tests: console.Tests = 400,

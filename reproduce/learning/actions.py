@@ -37,9 +37,20 @@ _ANGLES = np.r_[
 ]
 
 
+def _held(observations: Floats) -> Floats:
+    """Return the previous actions (n, 11), no further ahead of the angles than a step can go."""
+    angles = observations[:, _ANGLES]
+    held: Floats = np.clip(observations[:, SLICES["a_prev"]], angles - LARGEST_CHANGE, angles + LARGEST_CHANGE)
+    return held
+
+
 def to_environment(observations: Floats, outputs: Floats) -> Floats:
     """Return Eq. 3's actions (n, 11) for flat observations (n, SIZE or more) and outputs (n, 11) in [-1, 1]."""
-    angles = observations[:, _ANGLES]
-    held = np.clip(observations[:, SLICES["a_prev"]], angles - LARGEST_CHANGE, angles + LARGEST_CHANGE)
-    wanted = held + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)
+    wanted = _held(observations) + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)
     return np.clip(wanted, -1.0, 1.0).astype(np.float32)
+
+
+def to_outputs(observations: Floats, actions: Floats) -> Floats:
+    """Return the outputs (n, 11) in [-1, 1] by which ``to_environment`` comes nearest to Eq. 3's actions (n, 11)."""
+    outputs: Floats = np.clip((actions - _held(observations)) / LARGEST_CHANGE, -1.0, 1.0).astype(np.float32)
+    return outputs

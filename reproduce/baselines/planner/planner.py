@@ -1,7 +1,7 @@
 """`planner`: plans a whole rescue with full knowledge, trying it out in a copy of the simulator before it is done."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle, islice
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.physics.solver import SETTINGS, SolverSettings
-from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker
-from reproduce.baselines.planner.rollout import Rollout, Trial
+from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker, Way
+from reproduce.baselines.planner.rollout import Noise, Rollout, Trial
 from reproduce.baselines.scripted import VARIANTS as VARIANTS_FILE
 from reproduce.baselines.scripted import Variant, kind, load_way_points, vary
 from reproduce.learning.policy import Actions, Observations, Policy
@@ -21,6 +21,9 @@ from reproduce.storage.errors import UserError
 APPROACHES = 8  # ways tried out, at most
 VARIANTS = 40  # lifts or turns tried out, at most
 OTHER_WAY_AFTER = 8  # variants, before a second way under the body is looked for
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,9 @@ class Plan:
     variants_tried: int  # lifts or turns tried out
     variant: int  # which one was right, from 0; -1 for none. Those past the file's end were drawn for the scene
     seconds: float  # time taken to plan, trials included
+    path: Array | None = None  # joint path (m, 11) [rad] that it followed until both arms were under
+    points: Variant | None = None  # way-points of the lift or turn that succeeded
+    targets: Array | None = None  # the two targets as first seen, in the base frame (2, 3) [m]
 
 
 class RescuePlanner:
@@ -58,70 +64,96 @@ class RescuePlanner:
             simulation.close()
         self._simulations = None
 
-    def plan(self, scene: Scene) -> Plan:
-        """Return the first plan of a scene that succeeded, or the one that came furthest."""
+    def plan(self, scene: Scene, prefix: Sequence[NDArray[np.float32]] = ()) -> Plan:
+        """Return the first plan of a scene that succeeded, or the one that came furthest.
+
+        ``prefix`` are actions (11,) that were taken already: the plan goes on from where they have led, and its actions
+        begin with them.
+        """
         begun = time.monotonic()
-        if self._simulations is None:
-            self._simulations = LunarRescueEnv(solver=self._solver), CollisionChecker()
-        search = _Search(*self._simulations, scene, self._approaches)
+        search = _Search(*self._open(), scene, self._approaches, prefix)
         best, way, variant = search.rescue(self._variants)
+        points = next(islice(_variants(scene), variant, None)) if variant >= 0 else None
         return Plan(
             actions=best.actions,
             under=best.under is not None,
             rescued=best.rescued,
             first_under=search.first_under,
             first_rescued=search.first_under and variant == 0,
-            way=way,
+            way=way.kind if way else "none",
             ways_tried=search.ways_tried,
             variants_tried=search.variants_tried,
             variant=variant,
             seconds=time.monotonic() - begun,
+            path=way.path if way else None,
+            points=points,
+            targets=search.targets,
         )
+
+    def disturbed(self, scene: Scene, plan: Plan, noise: Noise, prefix: Sequence[NDArray[np.float32]] = ()) -> Trial:
+        """Do what was planned once more while noise moves the set-points, and return how that went."""
+        if plan.points is None or plan.targets is None:
+            raise UserError("planner: only a plan that succeeded can be done under noise")
+        return Rollout(self._open()[0], scene, prefix, noise).whole(plan.path, plan.points, plan.targets)
+
+    def _open(self) -> tuple[LunarRescueEnv, CollisionChecker]:
+        if self._simulations is None:
+            self._simulations = LunarRescueEnv(solver=self._solver), CollisionChecker()
+        return self._simulations
 
 
 class _Search:
     """Ways and variants for one scene, tried out one after the other."""
 
-    def __init__(self, env: LunarRescueEnv, checker: CollisionChecker, scene: Scene, most: int) -> None:
-        env.reset_flat(options={"scene": scene})
+    def __init__(
+        self,
+        env: LunarRescueEnv,
+        checker: CollisionChecker,
+        scene: Scene,
+        most: int,
+        prefix: Sequence[NDArray[np.float32]] = (),
+    ) -> None:
         checker.set_scene(scene)
+        env.reset_flat(options={"scene": scene})
+        self.targets = env.episode.observer.to_base(env.episode.targets())
+        self._scene, self._rollout, self._prefix = scene, Rollout(env, scene, prefix), prefix
         # A negative seed marks a scene that was made by hand.
         approach = ApproachPlanner(checker, env, np.random.default_rng(abs(scene.seed)))
-        self._scene, self._targets = scene, approach.targets
-        self._ways, self._rollout = islice(approach.ways(), most), Rollout(env, scene)
+        self._ways = islice(approach.ways(), most)
         self._failed: list[Trial] = []
         self.ways_tried = self.variants_tried = 0
         self.first_under = False
 
-    def rescue(self, most: int) -> tuple[Trial, str, int]:
+    def rescue(self, most: int) -> tuple[Trial, Way | None, int]:
         """Try out at most so many variants on the ways under the body.
 
-        Returns the trial that succeeded or came furthest, how its way was found, and the index of the variant or -1.
+        Returns the trial that succeeded or came furthest, its way under the body, and the index of the variant or -1.
         """
-        under = [*filter(None, [self._next_under()])]
+        begun = self._rollout.so_far() if self._prefix else None
+        under: list[tuple[Trial, Way | None]]
+        under = [(begun, None)] if begun and begun.under is not None else [*filter(None, [self._next_under()])]
         if not under:
-            # A way that failed, or to stand still.
-            still = Trial(np.zeros((1, JOINTS), dtype=np.float32), None, False)
-            return (self._failed or [still])[0], "none", -1
+            nothing = np.zeros((1, JOINTS), np.float32)  # to stand still, where no way was tried
+            return (self._failed or [Trial(nothing, None, False, nothing)])[0], None, -1
         for index, variant in enumerate(islice(_variants(self._scene), most)):
             if index and index % OTHER_WAY_AFTER == 0:
                 under += filter(None, [self._next_under()])
             # The first way first; when the likeliest variants have failed on it, each way in turn.
             begin, way = under[(index // OTHER_WAY_AFTER) % len(under)]
-            trial = self._rollout.rescue(begin, variant, self._targets)
+            trial = self._rollout.rescue(begin, variant, self.targets)
             self.variants_tried += 1
             if trial.rescued:
                 return trial, way, index
         return *under[0], -1
 
-    def _next_under(self) -> tuple[Trial, str] | None:
-        """Return the next way that gets both arms under and how it was found, or None when there are no more."""
+    def _next_under(self) -> tuple[Trial, Way] | None:
+        """Return the next way that gets both arms under and how that went, or None when there are no more."""
         for way in self._ways:
             trial = self._rollout.approach(way.path)
             self.ways_tried += 1
             if trial.under is not None:
                 self.first_under |= self.ways_tried == 1
-                return trial, way.kind
+                return trial, way
             self._failed.append(trial)
         return None
 
