@@ -1,16 +1,20 @@
 """`ppo_lstm`: one recurrent PPO network on the environment's own reward; shows what the hierarchy adds."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.learning.config import RecurrentConfig
+from reproduce.learning.config import PolicyConfig, RecurrentConfig
+from reproduce.learning.demonstrations import PlayedBack
+from reproduce.learning.imitation import Example
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
-from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
+from reproduce.learning.training import EpisodeLog, RecurrentTraining, imitate, make_environments, make_learner
 
 LEVEL = "policy"  # name of the one learner, in checkpoints and run folders
 
@@ -18,9 +22,9 @@ LEVEL = "policy"  # name of the one learner, in checkpoints and run folders
 class FlatPolicy(MirroredPolicy):
     """One recurrent network, acting every step by its mean."""
 
-    def __init__(self, network: RecurrentNetwork, mirrored: bool = True) -> None:
+    def __init__(self, network: RecurrentNetwork, config: PolicyConfig) -> None:
         """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
-        super().__init__(mirrored)
+        super().__init__(config)
         self._network = network
 
     def begin(self, count: int) -> None:
@@ -43,9 +47,14 @@ class FlatTraining(RecurrentTraining):
 
     def __init__(self, config: RecurrentConfig, seed: int) -> None:
         venv = make_environments(config, seed)
-        env = EpisodeLog(venv)
+        env = EpisodeLog(venv, config.priors.set_point_changes)
         self.learner = make_learner(env, config.low, seed, bounded_mean=False)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
+
+    def imitate(self, played: Sequence[PlayedBack], seed: int) -> Iterator[dict[str, Any]]:
+        """Imitate demonstrations; see ``Training``."""
+        examples = [Example(one.observations, one.outputs, one.returns, one.begin) for one in played]
+        yield from imitate(LEVEL, self.learner.policy, examples, self.config.imitation, seed)
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return the one network with its sizes; see ``Training``."""

@@ -28,7 +28,7 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
-from reproduce.learning.config import Share, TrainingConfig
+from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
 from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.sequence_ppo import check_losses
@@ -174,7 +174,7 @@ class SacTraining(Training):
 
     def __init__(self, config: SacTrainingConfig, seed: int) -> None:
         venv = make_environments(config, seed)
-        env = BusyEpisodeLog(venv)
+        env = BusyEpisodeLog(venv, config.priors.set_point_changes)
         self.learner = make_sac(env, config.sac, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner}, config.sac.n_steps)
 
@@ -199,9 +199,9 @@ class SacTraining(Training):
 class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
-    def __init__(self, actor: Actor, mirrored: bool = True) -> None:
+    def __init__(self, actor: Actor, config: PolicyConfig) -> None:
         """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
-        super().__init__(mirrored)
+        super().__init__(config)
         self._actor = actor
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:

@@ -75,7 +75,7 @@ class StockTraining:
         venv = TermsFromInfos(SubprocVecEnv([FlatEnv] * config.n_envs, start_method="forkserver"))
         self.rows = config.low.n_steps // config.hierarchy.interval - 1
         make = partial(make_learner, seed=seed, kind=RecurrentPPO)
-        goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
+        goals = RescueGoals(config.goals, config.priors)
         high_env = OnlySpaces(config.n_envs, venv.observation_space, flat_spaces(1, goals.outputs)[1])
         self.sgn: Any = make(high_env, replace(config.high, n_steps=self.rows), bounded_mean=True)
         self.env = SubGoalVecEnv(venv, self.sgn.policy, goals, config)

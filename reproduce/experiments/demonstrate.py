@@ -63,8 +63,10 @@ def demonstrate(
     deviations: tuple[float, ...] = DEVIATIONS,
     tell: Callable[[str], object] = print,
     quiet: bool = False,
-) -> list[Demonstration]:
+) -> tuple[list[Demonstration], float]:
     """Demonstrate so many training scenes and write the rescues to a file, every ``CHUNK`` scenes.
+
+    Returns the rescues and the seconds that they took to make, now or when the file was written.
 
     Args:
         scenes: Number of scenes.
@@ -96,7 +98,7 @@ def demonstrate(
             about = {"scenes": str(done), "seconds": f"{seconds:.1f}", "origin": json.dumps(provenance())}
             write_demonstrations(out, rescues, {**kind, **about})
     tell(f"{out}: {len(rescues)} rescues of {done} scenes, made in {seconds / 60:.1f} minutes")
-    return rescues
+    return rescues, seconds
 
 
 def _so_far(path: Path, kind: dict[str, str]) -> tuple[list[Demonstration], int, float]:

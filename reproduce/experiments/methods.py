@@ -43,6 +43,8 @@ class Method:
 
 _CHOSEN = {method: TRIALS[method][trial] for method, trial in CHOSEN.items()}
 _TWO_LAYERS = partial(Method, act=load_hierarchical_policy, train=HierarchicalTraining, kind=HierarchicalConfig)
+#: Of methods that begin from demonstrations, which end with imitation as long as nothing after it helps.
+_IMITATION: Changes = {"priors.demonstrations": True, "steps": 0}
 _SAC = partial(Method, act=load_sac_policy, train=SacTraining, kind=SacTrainingConfig)
 METHODS: dict[str, Method] = {
     m.name: m
@@ -54,6 +56,12 @@ METHODS: dict[str, Method] = {
             "the ablation: contact reward in place of the AAPF term, nothing else changed",
             changes={"obstacle_reward": "contact"},
             paper_success=0.873,
+        ),
+        _TWO_LAYERS(
+            "hrl_dcs_demos",
+            "HRL-DCS, demonstrations",
+            "both layers imitate the planner's rescues by hindsight; not in the paper",
+            changes=_IMITATION,
         ),
         Method(
             "fun",
@@ -85,6 +93,15 @@ METHODS: dict[str, Method] = {
             FlatTraining,
             RecurrentConfig,
             _CHOSEN["ppo_lstm"],
+        ),
+        Method(
+            "ppo_lstm_demos",
+            "Recurrent PPO, demonstrations",
+            "one recurrent network imitates the planner's rescues; not in the paper",
+            load_flat_policy,
+            FlatTraining,
+            RecurrentConfig,
+            _IMITATION,
         ),
         Method(
             "scripted", "Script with IK", "inverse kinematics and way-points, no learning", lambda _: ScriptedPolicy()

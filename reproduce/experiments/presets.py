@@ -35,7 +35,7 @@ def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
         raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
     own = {field.name for field in fields(kind)}
     values = {name: value for name, value in PRESETS[preset].items() if name.split(".")[0] in own}
-    return changed(kind(steps=1), {**values, **changes})
+    return changed(changed(kind(steps=1), values), changes)
 
 
 def changed(config: Config, changes: Changes) -> Config:

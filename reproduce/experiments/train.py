@@ -20,19 +20,23 @@ from stable_baselines3.common.utils import set_random_seed
 from tqdm.auto import tqdm
 
 from lunar_rescue import ENVIRONMENT_VERSION
+from reproduce.experiments.demonstrate import demonstrate
 from reproduce.experiments.methods import Method
 from reproduce.learning.config import TrainingConfig
+from reproduce.learning.demonstrations import play_back
 from reproduce.learning.training import Training
 from reproduce.learning.workers import WorkerError
 from reproduce.storage.checkpoint import CHECKPOINT, Progress, has_checkpoint, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text
+from reproduce.storage.paths import RESULTS
 from reproduce.storage.policies import save_policy
 from reproduce.storage.provenance import provenance
 from reproduce.storage.records import differences, to_dict
 
 WHAT = "run folder"
 START = Progress(0, 0, 0.0)
+IMITATION_THREADS = 2  # no worker is busy then
 THREADS = 1  # for networks of this size one thread is faster than two (measured), and workers need the other core
 
 
@@ -156,6 +160,8 @@ class _Run:
             with closing(self.start(self.config, self.seed)) as training:
                 self._restore(training)
                 write_json(self.folder / "config.json", self.description)
+                if self.config.priors.demonstrations and not self.progress.update:
+                    self._imitate(training)
                 with _tensorboard(tensorboard, self.progress.steps) as writer:
                     self._loop(training, writer)
                 self._finish(training, origin)
@@ -178,6 +184,24 @@ class _Run:
             raise UserError(f"{path}: not readable: {error}") from None
         self.rows = rows
         training.restart(self.saved.update)
+
+    def _imitate(self, training: Training) -> None:
+        """Let the training imitate demonstrations, which are made where they are not there yet; their time counts."""
+        config: Any = self.config  # only those that imitate have demonstrations
+        path = RESULTS / "scratch" / f"demonstrations_{config.imitation.scenes}.safetensors"
+        rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet)
+        begun = time.monotonic()
+        seen = {"weights": config.reward, "gamma": config.low.gamma, "mirrored": config.priors.mirror}
+        rows: list[dict[str, Any]] = []
+        th.set_num_threads(IMITATION_THREADS)
+        for row in tqdm(training.imitate(play_back(rescues, **seen), self.seed), desc="imitation", disable=self.quiet):
+            rows.append({**row, "seconds": round(made + time.monotonic() - begun, 2)})
+        th.set_num_threads(THREADS)
+        write_text(self.folder / "imitation.csv", pd.DataFrame(rows).to_csv(index=False, float_format="%.5g"))
+        steps, seconds = sum(len(rescue.actions) for rescue in rescues), made + time.monotonic() - begun
+        about = {"scenes": config.imitation.scenes, "rescues": len(rescues), "steps": steps, "seconds": made}
+        write_json(self.folder / "imitation.json", about)
+        self.progress = self.saved = Progress(0, 0, seconds)
 
     def _loop(self, training: Training, writer: Any) -> None:
         total, start = self.config.steps, time.monotonic() - self.progress.seconds
@@ -204,12 +228,15 @@ class _Run:
         self._write_rows()
         save_policy(self.folder, self.method.name, training.networks(), training.config.policy)
         summary = {"method": self.method.name, "seed": self.seed, "preset": self.preset, **origin}
-        totals = {"steps": int(self.rows[-1]["env_steps"]), "seconds": float(self.rows[-1]["seconds"])}
+        totals: dict[str, Any] = {"steps": self.progress.steps, "seconds": round(self.progress.seconds, 2)}
+        if self.config.priors.demonstrations:
+            totals["demonstrations"] = read_json(self.folder / "imitation.json", "account of the imitation")
         write_json(self.folder / "run.json", {**summary, **totals})  # last: a folder that holds it is a finished run
         (self.folder / CHECKPOINT).unlink(missing_ok=True)
 
     def _write_rows(self) -> None:
-        write_text(self.folder / "progress.csv", pd.DataFrame(self.rows).to_csv(index=False, float_format="%.5g"))
+        if self.rows:  # imitation alone leaves none
+            write_text(self.folder / "progress.csv", pd.DataFrame(self.rows).to_csv(index=False, float_format="%.5g"))
 
 
 def _tensorboard(folder: Path | None, steps: int) -> AbstractContextManager[Any]:

@@ -8,9 +8,8 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
-from reproduce.hrl_dcs.config import AnchorConfig
 from reproduce.hrl_dcs.policy import HierarchicalPolicy
-from reproduce.hrl_dcs.subgoals import ENDS_SIZE, SUBGOAL_SIZE, Floats, RescueGoals, targets
+from reproduce.hrl_dcs.subgoals import Floats, RescueGoals, targets
 from reproduce.learning.policy import Policy
 from reproduce.storage.errors import UserError
 
@@ -20,23 +19,15 @@ class FixedTarget(RescueGoals):
 
     def update(self, observations: Floats, starts: NDArray[np.bool_]) -> None:
         """Note where the target areas are."""
-        self._fixed = np.pad(targets(observations), ((0, 0), (0, SUBGOAL_SIZE - ENDS_SIZE)))
+        self._fixed = targets(observations)
 
     def subgoals(self, outputs: Floats) -> Floats:
-        """Return the target areas P_G with plates level, (n, SUBGOAL_SIZE) [m], whatever SGN puts out."""
+        """Return the target areas P_G, (n, 6) [m], whatever SGN puts out."""
         return self._fixed
 
 
-class AnchorsAlone(RescueGoals):
-    """SGN silent: sub-goals stay on what they are measured from, the next point of the way in."""
-
-    def subgoals(self, outputs: Floats) -> Floats:
-        """Return the anchors (n, SUBGOAL_SIZE) [m], whatever SGN puts out."""
-        return super().subgoals(np.zeros_like(outputs))
-
-
-def _with(make_goals: Callable[[int, AnchorConfig], RescueGoals]) -> Callable[[HierarchicalPolicy], HierarchicalPolicy]:
-    return lambda policy: HierarchicalPolicy(*policy.networks, policy.config, make_goals)
+def _fixed_target(policy: HierarchicalPolicy) -> HierarchicalPolicy:
+    return HierarchicalPolicy(*policy.networks, policy.layers, FixedTarget)
 
 
 def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
@@ -47,12 +38,11 @@ def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
     for module in fresh.modules():
         if isinstance(module, nn.Linear | nn.LSTM):
             module.reset_parameters()
-    return HierarchicalPolicy(sgn, fresh, policy.config)
+    return HierarchicalPolicy(sgn, fresh, policy.layers)
 
 
 ABLATIONS: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = {
-    "fixed_target": _with(FixedTarget),
-    "anchors_alone": _with(AnchorsAlone),
+    "fixed_target": _fixed_target,
     "untrained_lln": _untrained_lln,
 }
 

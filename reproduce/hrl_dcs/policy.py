@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.hrl_dcs.config import AnchorConfig, HierarchicalPolicyConfig
+from reproduce.hrl_dcs.config import GoalConfig, HierarchicalPolicyConfig
 from reproduce.hrl_dcs.goals import Floats, Goals
-from reproduce.hrl_dcs.subgoals import ENDS_SIZE, LLN_SIZE, SUBGOAL_SIZE, RescueGoals
+from reproduce.hrl_dcs.subgoals import SUBGOAL_SIZE, RescueGoals, lln_size
+from reproduce.learning.config import PriorConfig
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
 from reproduce.storage.policies import load_networks, load_policy_config
-
-#: For each level the sizes of observation and action.
-SIZES = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (LLN_SIZE, JOINTS)}
 
 
 class HighLevel:
@@ -62,16 +60,17 @@ class HierarchicalPolicy(MirroredPolicy):
         sgn: RecurrentNetwork,
         lln: RecurrentNetwork,
         config: HierarchicalPolicyConfig,
-        make_goals: Callable[[int, AnchorConfig], RescueGoals] = RescueGoals,
+        make_goals: Callable[[GoalConfig, PriorConfig], RescueGoals] = RescueGoals,
     ) -> None:
         """Make a policy that acts in no environment yet; ablations make other sub-goals of SGN's outputs."""
-        super().__init__(config.mirrored)
-        self.networks, self.config, self._make_goals = (sgn, lln), config, make_goals
+        super().__init__(config)
+        self.networks, self.layers = (sgn, lln), config
+        priors = PriorConfig(set_point_changes=config.set_point_changes, joint_step=config.joint_step)
+        self._goals = make_goals(config.goals, priors)
 
     def begin(self, count: int) -> None:
         """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
-        goals = self._make_goals(count, self.config.anchors)
-        self._high = HighLevel(self.networks[0], goals, self.config.interval, count)
+        self._high = HighLevel(self.networks[0], self._goals, self.layers.interval, count)
         self._low = Memory(self.networks[1], count)
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
@@ -82,10 +81,11 @@ class HierarchicalPolicy(MirroredPolicy):
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return the sub-goals in the base frame, (n, 2, 3) [m]."""
-        return {"sub-goal": self._mirror.points(self._high.subgoals[:, :ENDS_SIZE].reshape(-1, 2, 3))}
+        return {"sub-goal": self._mirror.points(self._high.subgoals.reshape(-1, 2, 3))}
 
 
 def load_hierarchical_policy(folder: Path) -> HierarchicalPolicy:
     """Read the policy of a run folder; see ``load_networks``."""
-    networks = load_networks(folder, SIZES, NetworkSpec)
-    return HierarchicalPolicy(**networks, config=load_policy_config(folder, HierarchicalPolicyConfig))
+    config = load_policy_config(folder, HierarchicalPolicyConfig)
+    sizes = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(config.joint_step), JOINTS)}
+    return HierarchicalPolicy(**load_networks(folder, sizes, NetworkSpec), config=config)

@@ -3,16 +3,19 @@
 One rollout of LLN's feeds both: LLN learns from every step with INR, SGN from every N steps with the summed EXR.
 """
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from reproduce.hrl_dcs.config import HierarchicalConfig
 from reproduce.hrl_dcs.goals import Goals
+from reproduce.hrl_dcs.hindsight import commanded, lln_example, reached, sgn_examples
 from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
-from reproduce.hrl_dcs.subgoals import RescueGoals
+from reproduce.hrl_dcs.subgoals import RescueGoals, arm_ends
+from reproduce.learning.demonstrations import PlayedBack
 from reproduce.learning.networks import NetworkSpec, RecurrentNetwork, flat_spaces
-from reproduce.learning.training import OnlySpaces, RecurrentTraining, make_environments, make_learner
+from reproduce.learning.training import OnlySpaces, RecurrentTraining, imitate, make_environments, make_learner
 
 
 class TwoLayerTraining(RecurrentTraining):
@@ -58,5 +61,15 @@ class HierarchicalTraining(TwoLayerTraining):
     """Trains SGN and LLN on the rescue."""
 
     def __init__(self, config: HierarchicalConfig, seed: int) -> None:
-        goals = RescueGoals(config.n_envs, config.anchors, config.hierarchy.milestone_share)
-        super().__init__(make_environments(config, seed), goals, config, seed)
+        self.rescue_goals = RescueGoals(config.goals, config.priors)
+        super().__init__(make_environments(config, seed), self.rescue_goals, config, seed)
+
+    def imitate(self, played: Sequence[PlayedBack], seed: int) -> Iterator[dict[str, Any]]:
+        """Imitate demonstrations, SGN first; see ``Training`` and ``reproduce.hrl_dcs.hindsight``."""
+        goals, interval, config = self.rescue_goals, self.config.hierarchy.interval, self.config.imitation
+        places = [example for one in played for example in sgn_examples(goals, one, interval)]
+        yield from imitate("sgn", self.sgn.policy, places, config, seed)
+        hindsight = [reached(arm_ends(one.observations), interval) for one in played]
+        versions = (hindsight, commanded(self.sgn.policy, goals, played, interval))
+        moves = [lln_example(goals, *pair) for subgoals in versions for pair in zip(played, subgoals, strict=True)]
+        yield from imitate("lln", self.lln.policy, moves, config, seed + 1)

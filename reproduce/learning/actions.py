@@ -44,6 +44,11 @@ def _held(observations: Floats) -> Floats:
     return held
 
 
+def environment_actions(observations: Floats, outputs: Floats, changes: bool) -> Floats:
+    """Return Eq. 3's actions (n, 11): a network's outputs (n, 11) as they are, or taken as changes of set-points."""
+    return to_environment(observations, outputs) if changes else np.clip(outputs, -1.0, 1.0).astype(np.float32)
+
+
 def to_environment(observations: Floats, outputs: Floats) -> Floats:
     """Return Eq. 3's actions (n, 11) for flat observations (n, SIZE or more) and outputs (n, 11) in [-1, 1]."""
     wanted = _held(observations) + LARGEST_CHANGE * np.clip(outputs, -1.0, 1.0)

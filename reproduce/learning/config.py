@@ -7,7 +7,7 @@ What the presets hold for them is in ``reproduce.experiments.presets``.
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.records import checked
@@ -49,7 +49,37 @@ class LearnerConfig:
 class PolicyConfig:
     """What ``policy.json`` holds besides networks; methods that need more to act add it."""
 
-    mirrored: bool  # Whether the networks see scenes through `reproduce.learning.mirror`
+    mirror: bool  # Whether the networks see scenes through `reproduce.learning.mirror`
+    set_point_changes: bool  # Whether they put out changes of set-points, see `reproduce.learning.actions`
+
+
+@checked
+@dataclass(frozen=True)
+class PriorConfig:
+    """What a training is given that is not in the paper; each is off by default, as the preset `paper` has them."""
+
+    mirror: bool = False  # Learners see the astronaut's head on arm A's side, see `reproduce.learning.mirror`
+    set_point_changes: bool = False  # Networks put out changes of set-points, see `reproduce.learning.actions`
+    # How many times as often as postures on a side, which are learnt first, training draws those face up and down.
+    # Rates in `progress.csv` are weighed back to what tests draw, all postures alike.
+    lying_weight: PositiveInt = 1
+    joint_step: bool = False  # LLN sees the kinematic step of all joints to its sub-goal, see `hrl_dcs.joint_step`
+    milestone_share: NonNegativeFloat = 0.0  # Weight in INR of what comes once an episode and is not in the paper
+    demonstrations: bool = False  # Networks imitate the planner's rescues of training scenes before they explore
+
+
+@checked
+@dataclass(frozen=True)
+class ImitationConfig:
+    """How many rescues a network imitates, how long and how fast, where demonstrations are a prior."""
+
+    scenes: PositiveInt = 2600  # Training scenes that the planner demonstrates
+    epochs: PositiveInt = 20  # Passes over all demonstrations
+    episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
+    learning_rate: PositiveFloat = 1.0e-3  # At the beginning; falls on half a cosine
+    final_learning_rate: NonNegativeFloat = 1.0e-5  # At the end
+    vf_coef: NonNegativeFloat = 0.01  # Weight of the critic's loss; returns are of the order of ten
+    max_grad_norm: PositiveFloat = 1.0  # Gradient clipping
 
 
 @checked
@@ -57,21 +87,23 @@ class PolicyConfig:
 class TrainingConfig:
     """One training, as far as all methods share it."""
 
-    steps: PositiveInt  # Environment steps of all environments together, as the paper counts them
+    steps: NonNegativeInt  # Environment steps of all environments together, as the paper counts them
     n_envs: PositiveInt = 16  # Parallel agents; paper, section 4.1
     checkpoint_every: PositiveInt = 25  # Updates between checkpoints; environments begin anew there, as after a resume
     reward: RewardWeights = field(default_factory=RewardWeights)  # Weights of the environment's reward, which is EXR
     obstacle_reward: Literal["aapf", "contact"] = "aapf"  # `"aapf"` or, in the ablation, `"contact"`
     scenes: Literal["all", "easy"] = "all"  # `"all"`, or `"easy"`: one posture, no rocks, the lightest astronaut
-    # How many times as often as postures on a side, which are learnt first, training draws those face up and down.
-    # Rates in `progress.csv` are weighed back to what tests draw, all postures alike.
-    lying_weight: PositiveInt = 1
-    mirrored: bool = True  # Whether learners see the astronaut's head on arm A's side, see `learning.mirror`
+    priors: PriorConfig = field(default_factory=PriorConfig)  # What it is given that is not in the paper
+
+    def __post_init__(self) -> None:
+        """Refuse a training of nothing."""
+        if not self.steps and not self.priors.demonstrations:
+            raise ValueError("steps: expected at least 1 where there are no demonstrations, got 0")
 
     @property
     def policy(self) -> PolicyConfig:
         """Return what ``policy.json`` holds of the trained policy besides its networks."""
-        return PolicyConfig(self.mirrored)
+        return PolicyConfig(self.priors.mirror, self.priors.set_point_changes)
 
 
 @checked
@@ -80,3 +112,4 @@ class RecurrentConfig(TrainingConfig):
     """A training with recurrent PPO; all that a flat method has."""
 
     low: LearnerConfig = field(default_factory=LearnerConfig)  # LLN, or the only level of a flat method
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)  # How it imitates demonstrations

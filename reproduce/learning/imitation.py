@@ -9,31 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from torch.nn.utils.rnn import pad_sequence
 
-from lunar_rescue.scenes.records import checked
+from reproduce.learning.config import ImitationConfig
 from reproduce.learning.networks import RecurrentNetwork, observe_all
 
 Floats = NDArray[np.float32]
-
-
-@checked
-@dataclass(frozen=True)
-class ImitationConfig:
-    """How long and how fast a network imitates."""
-
-    epochs: PositiveInt = 20  # Passes over all demonstrations
-    episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
-    learning_rate: PositiveFloat = 1.0e-3  # At the beginning; falls on half a cosine
-    final_learning_rate: NonNegativeFloat = 1.0e-5  # At the end
-    vf_coef: Annotated[float, Field(ge=0.0)] = 0.01  # Weight of the critic's loss; returns are of the order of ten
-    max_grad_norm: PositiveFloat = 1.0  # Gradient clipping
 
 
 @dataclass(frozen=True)

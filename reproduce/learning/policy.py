@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.learning.actions import to_environment
+from reproduce.learning.actions import environment_actions
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.mirror import Mirror
 from reproduce.storage.policies import Spec, load_networks, load_policy_config
@@ -35,9 +35,9 @@ class Policy(Protocol):
 class MirroredPolicy(Policy):
     """Networks that act every step, seeing scenes through ``reproduce.learning.mirror`` if they were trained so."""
 
-    def __init__(self, mirrored: bool) -> None:
-        """Make a policy that acts in no environment yet."""
-        self.mirrored, self._count = mirrored, 0
+    def __init__(self, config: PolicyConfig) -> None:
+        """Make a policy that acts in no environment yet; ``config`` says how its networks see and act."""
+        self.config, self._count = config, 0
 
     def begin(self, count: int) -> None:
         """Forget everything, if there is a memory, and be ready for ``count`` environments."""
@@ -52,13 +52,14 @@ class MirroredPolicy(Policy):
             self._count, self._mirror = len(observations), Mirror(len(observations))
             self.begin(self._count)
             starts = np.ones(self._count, bool)
-        if self.mirrored:
+        if self.config.mirror:
             self._mirror.begin(observations, starts)
         seen = self._mirror.observations(observations)
-        return self._mirror.actions(to_environment(seen, self.outputs(seen, starts)))
+        outputs = self.outputs(seen, starts)
+        return self._mirror.actions(environment_actions(seen, outputs, self.config.set_point_changes))
 
 
-def load_only_network(folder: Path, level: str, kind: type[Spec]) -> tuple[Any, bool]:
-    """Return the network of a run folder's only level and whether it sees scenes mirrored; see ``load_networks``."""
+def load_only_network(folder: Path, level: str, kind: type[Spec]) -> tuple[Any, PolicyConfig]:
+    """Return the network of a run folder's only level and how it sees and acts; see ``load_networks``."""
     networks = load_networks(folder, {level: (SIZE, JOINTS)}, kind)
-    return networks[level], load_policy_config(folder, PolicyConfig).mirrored
+    return networks[level], load_policy_config(folder, PolicyConfig)

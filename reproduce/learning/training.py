@@ -1,7 +1,7 @@
 """What the trainings of all methods share: environments, schedules, summaries of episodes."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,10 @@ from torch import nn
 
 from lunar_rescue.env import OUTCOME
 from lunar_rescue.scenes.postures import Posture, postures
-from reproduce.learning.actions import to_environment
-from reproduce.learning.config import LearnerConfig, RecurrentConfig, TrainingConfig
+from reproduce.learning.actions import environment_actions
+from reproduce.learning.config import ImitationConfig, LearnerConfig, RecurrentConfig, TrainingConfig
+from reproduce.learning.demonstrations import PlayedBack
+from reproduce.learning.imitation import Example, Imitation
 from reproduce.learning.mirror import Environments, MirroredVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
@@ -26,10 +28,10 @@ from reproduce.storage.policies import Spec
 def make_environments(config: TrainingConfig, seed: int) -> Environments:
     """Start the environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
-    drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.lying_weight))]
-    options = EnvOptions(arguments, tuple(drawn) if config.lying_weight > 1 else (), config.scenes == "easy")
+    drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.priors.lying_weight))]
+    options = EnvOptions(arguments, tuple(drawn) if config.priors.lying_weight > 1 else (), config.scenes == "easy")
     venv = WorkerVecEnv(config.n_envs, seed, options)
-    return MirroredVecEnv(venv) if config.mirrored else venv
+    return MirroredVecEnv(venv) if config.priors.mirror else venv
 
 
 def _weight(posture: Posture, lying_weight: int) -> int:
@@ -75,6 +77,15 @@ def start_collecting(learner: Any, steps: int, callback: BaseCallback | None = N
     return callback or made
 
 
+def imitate(
+    level: str, network: RecurrentNetwork, examples: Sequence[Example], config: ImitationConfig, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Let the network of a level imitate; yield a row with level, epoch and losses after each epoch."""
+    imitation = Imitation(network, examples, config, seed)
+    for epoch in range(config.epochs):
+        yield {"level": level, "epoch": epoch + 1, **imitation.epoch()}
+
+
 def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> dict[str, Any]:
     """Return means over the episodes of an update, as if all postures were drawn alike; NaN where none ended."""
     known = postures()
@@ -92,8 +103,9 @@ def episode_summary(episodes: list[dict[str, Any]], lying_weight: int = 1) -> di
 class EpisodeLog(VecEnvWrapper):
     """Turns a network's outputs into Eq. 3's actions and adds up the rewards of each episode."""
 
-    def __init__(self, venv: Any, **spaces: Any) -> None:
+    def __init__(self, venv: Any, set_point_changes: bool = False, **spaces: Any) -> None:
         super().__init__(venv, **spaces)
+        self._set_point_changes = set_point_changes
         self.episodes: list[dict[str, Any]] = []  # outcome, returns and steps; whoever reads the list empties it
         self._totals = np.zeros((self.num_envs, 3))  # EXR, INR, steps
 
@@ -105,7 +117,7 @@ class EpisodeLog(VecEnvWrapper):
 
     def step_async(self, actions: Any) -> None:
         """Send the network's outputs (n, 11) on as Eq. 3's actions."""
-        self.venv.step_async(to_environment(self._last, actions))
+        self.venv.step_async(environment_actions(self._last, actions, self._set_point_changes))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Wait for the environments and list the episodes that ended."""
@@ -156,7 +168,7 @@ class Training(ABC):
 
     def row(self) -> dict[str, Any]:
         """Return the row of ``progress.csv`` for what happened since the last one."""
-        row = episode_summary(self.env.episodes, self.config.lying_weight)
+        row = episode_summary(self.env.episodes, self.config.priors.lying_weight)
         self.env.episodes = []
         for name, learner in self.learners.items():
             for key in self.logged:
@@ -166,6 +178,10 @@ class Training(ABC):
     @abstractmethod
     def update(self, done: int) -> dict[str, Any]:
         """Collect and learn once, after ``done`` steps; return a row of ``progress.csv``."""
+
+    def imitate(self, played: Sequence[PlayedBack], seed: int) -> Iterator[dict[str, Any]]:
+        """Imitate demonstrations before the first update; yield a row with level, epoch and losses after each epoch."""
+        raise NotImplementedError(f"{type(self).__name__}: imitates no demonstrations")
 
     @abstractmethod
     def networks(self) -> Mapping[str, tuple[Spec, nn.Module]]:

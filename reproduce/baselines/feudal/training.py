@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from reproduce.baselines.feudal.learner import FunPPO
 from reproduce.baselines.feudal.network import FeudalConfig, FunConfig, FunNetwork, FunSpec
-from reproduce.learning.config import LearnerConfig
+from reproduce.learning.config import LearnerConfig, PolicyConfig
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.training import EpisodeLog, RecurrentTraining, make_environments, make_learner
 
@@ -19,9 +19,9 @@ LEVEL = "fun"  # name of the one learner, in checkpoints and run folders
 class FunPolicy(MirroredPolicy):
     """Manager and Worker, both acting every step, with no random goals."""
 
-    def __init__(self, network: FunNetwork, mirrored: bool = True, deterministic: bool = True) -> None:
+    def __init__(self, network: FunNetwork, config: PolicyConfig, deterministic: bool = True) -> None:
         """Make a policy, by Worker's mean if ``deterministic``, that acts in no environment yet."""
-        super().__init__(mirrored)
+        super().__init__(config)
         self.network, self._deterministic = network, deterministic
 
     def begin(self, count: int) -> None:
@@ -55,7 +55,7 @@ class FunTraining(RecurrentTraining):
 
     def __init__(self, config: FeudalConfig, seed: int) -> None:
         venv = make_environments(config, seed)
-        env = EpisodeLog(venv)
+        env = EpisodeLog(venv, config.priors.set_point_changes)
         self.learner = make_fun_learner(env, config.low, config.fun, seed)
         super().__init__(config, venv, env, self.learner, {LEVEL: self.learner})
 
