@@ -54,7 +54,7 @@ def evaluate(
     tests: console.Tests = 1000,
     split: console.Split = None,
     first_seed: console.FirstSeed = None,
-    ablation: Annotated[str | None, typer.Option(help="fixed_target, anchors_alone or untrained_lln")] = None,
+    ablation: Annotated[str | None, typer.Option(help="fixed_target or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     json: console.JsonFile = None,
 ) -> None:

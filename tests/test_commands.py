@@ -309,8 +309,8 @@ def test_configuration_survives_json_and_refuses_strangers() -> None:
         ("low", "learning_rat", 1.0, "config.low.learning_rat: unknown field"),
         ("low", "gamma", 1.5, "config.low.gamma: expected less than or equal to 1, got 1.5"),
         ("low", "n_steps", True, "config.low.n_steps: expected a valid integer, got True"),
-        ("anchors", "stride", "far", "config.anchors.stride: expected a valid number, got 'far'"),
-        ("anchors", "patience", None, "config.anchors.patience: missing"),
+        ("goals", "reach", "far", "config.goals.reach: expected a valid number, got 'far'"),
+        ("priors", "mirror", None, "config.priors.mirror: missing"),
     ):
         changed = {name: value for name, value in {**raw[part], field: value}.items() if value is not None}
         with pytest.raises(UserError) as error:

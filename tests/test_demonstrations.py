@@ -137,8 +137,9 @@ def test_a_rescue_is_played_back_as_it_was_seen(rescues: list[Demonstration], en
 def test_a_file_is_gone_on_with_where_it_ends(tmp_path: Path) -> None:
     path, lines = tmp_path / "x.safetensors", list[str]()
     kind: Any = {"first_seed": 1_500_000_003, "deviations": (), "tell": lines.append, "quiet": True}
-    first = demonstrate(1, path, **kind)
-    both = demonstrate(2, path, **kind)
+    first, _ = demonstrate(1, path, **kind)
+    both, seconds = demonstrate(2, path, **kind)
+    assert seconds > 0
     assert [d.seed for d in first] == [1_500_000_003] and [d.seed for d in both] == [1_500_000_003, 1_500_000_004]
     assert "2 rescues of 2 scenes" in lines[1]
     with pytest.raises(UserError, match=r"deviations: holds those of \[\], not of \[0.3\]"):

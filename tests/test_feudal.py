@@ -431,16 +431,19 @@ def test_a_resumed_training_repeats_bit_for_bit(tmp_path: Path) -> None:
     assert all(th.equal(expected[name], found[name]) for name in expected)
 
 
+SHARED = PolicyConfig(mirror=True, set_point_changes=True)
+
+
 def saved(folder: Path) -> FunNetwork:
     network = FunSpec(SIZE, JOINTS, 16, D, 3, C).build()
     specs: Any = {LEVEL: (network.spec, network)}
-    save_policy(folder, "fun", specs, PolicyConfig(mirrored=True))
+    save_policy(folder, "fun", specs, SHARED)
     return network
 
 
 def test_a_saved_policy_acts_the_same(tmp_path: Path) -> None:
     network = saved(tmp_path)
-    first, second = FunPolicy(network), load_feudal_policy(tmp_path)
+    first, second = FunPolicy(network, SHARED), load_feudal_policy(tmp_path)
     rng = np.random.default_rng(0)
     for t in range(2 * C + 3):
         seen = rng.normal(size=(2, SIZE)).astype(np.float32)
@@ -453,7 +456,7 @@ def test_a_saved_policy_acts_the_same(tmp_path: Path) -> None:
 
 def test_memories_of_a_batch_are_kept_apart() -> None:
     network = FunSpec(SIZE, JOINTS, 16, D, 3, C).build()
-    together, alone = FunPolicy(network), FunPolicy(network)
+    together, alone = FunPolicy(network, SHARED), FunPolicy(network, SHARED)
     rng = np.random.default_rng(0)
     for t in range(2 * C + 3):
         seen = rng.normal(size=(3, SIZE)).astype(np.float32)

@@ -13,35 +13,26 @@ import numpy as np
 import pytest
 import torch as th
 
-from lunar_rescue import LunarRescueEnv, sample_scene
+from lunar_rescue import LunarRescueEnv, rewards, sample_scene
 from lunar_rescue.observation import SIZE, SLICES
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.experiments.evaluate import rescue_scenes
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
 from reproduce.hrl_dcs.ablation import ABLATIONS, ablated
-from reproduce.hrl_dcs.config import AnchorConfig, HierarchicalPolicyConfig
-from reproduce.hrl_dcs.joint_step import joint_step, sideways_tilt
-from reproduce.hrl_dcs.policy import SIZES, HierarchicalPolicy
-from reproduce.hrl_dcs.subgoals import (
-    SUBGOAL_SIZE,
-    RescueGoals,
-    achieved,
-    arm_ends,
-    entries,
-    next_points,
-    slipped,
-    targets,
-)
+from reproduce.hrl_dcs.config import GoalConfig
+from reproduce.hrl_dcs.joint_step import joint_step
+from reproduce.hrl_dcs.policy import HierarchicalPolicy
+from reproduce.hrl_dcs.subgoals import SUBGOAL_SIZE, RescueGoals, arm_ends, lln_size, targets
 from reproduce.hrl_dcs.training import HierarchicalTraining
 from reproduce.learning.actions import LARGEST_CHANGE, to_environment
+from reproduce.learning.config import PriorConfig
 from reproduce.learning.networks import NetworkSpec, RecurrentNetwork
 from reproduce.learning.workers import TERMS, WorkerError, WorkerVecEnv
 from reproduce.storage.errors import UserError
 
-ANCHORS = AnchorConfig()
-#: Those of a policy that acts once it is trained.
-ACTING = METHODS["hrl_dcs"].config("laptop").policy.anchors
+LAYERS = METHODS["hrl_dcs"].config("laptop").policy
+SIZES = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(False), JOINTS)}
 
 
 @pytest.fixture(scope="module")
@@ -51,99 +42,55 @@ def training() -> Iterator[HierarchicalTraining]:
     made.close()
 
 
-def test_sub_goal_points_agree_with_the_environment(env: LunarRescueEnv) -> None:
-    observation, _ = env.reset_flat(options={"scene": sample_scene(0)})
-    e = env.episode
-    row = observation[None]
-    assert arm_ends(row)[0] == pytest.approx(e.observer.to_base(e.robot.ends).ravel(), abs=1e-5)
-    assert targets(row)[0] == pytest.approx(e.observer.to_base(e.targets()).ravel(), abs=1e-5)
-    assert entries(row)[0] == pytest.approx(e.observer.to_base(e.entries()).ravel(), abs=1e-5)
-    assert next_points(row)[0] == pytest.approx(entries(row)[0])  # arms start raised
-
-
 _ENDS = np.r_[SLICES["P_A"].start + 15 : SLICES["P_A"].start + 18, SLICES["P_B"].start + 15 : SLICES["P_B"].start + 18]
 
 
-def test_sub_goals_stay_within_reach_of_their_anchor(env: LunarRescueEnv) -> None:
-    observation, _ = env.reset_flat(options={"scene": sample_scene(1)})
-    there = observation[None].copy()  # the arms' ends at their anchor
-    there[0, _ENDS] = targets(there)[0]
-    anchors = RescueGoals(1, ANCHORS)
-    anchors.update(there, np.array([True]))
-    near = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))
-    assert near[0] == pytest.approx([*there[0, _ENDS], -0.052, -0.052])
-    far = anchors.subgoals(np.array([[9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 0.0]], np.float32))
-    assert (far - near)[0] == pytest.approx([0.25, 0, 0, 0.25, 0, 0, 0.15, 0.15], abs=1e-6)
-    moved = anchors.subgoals(np.array([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.5, 1.0]], np.float32)) - near
-    rises = [0.075 + 0.05, 0.075 - 0.05]
-    assert moved[0] == pytest.approx([0.25, 0.0, -0.12, 0.25, 0.0, 0.12, *rises], abs=1e-6)
-    anchors.update(observation[None], np.array([True]))  # arms that are far away are led there step by step
-    way = anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[0, :6] - arm_ends(observation[None])[0]
-    whole = (next_points(observation[None]) - arm_ends(observation[None]))[0]
-    for one, all_of_it in zip(way.reshape(2, 3), whole.reshape(2, 3), strict=True):
-        assert np.linalg.norm(all_of_it) > 0.3
-        assert one == pytest.approx(0.3 * all_of_it / np.linalg.norm(all_of_it), abs=1e-5)
-    view = anchors.view(observation[None], near, np.ones(1, np.float32))
-    assert view[0, SIZE : SIZE + SUBGOAL_SIZE] == pytest.approx(near[0])
-    way = near - achieved(observation[None], 0.15)
-    assert view[0, SIZE + SUBGOAL_SIZE : SIZE + 2 * SUBGOAL_SIZE] == pytest.approx(way[0])
-    assert view[0, -JOINTS - 1 : -1] == pytest.approx(joint_step(observation[None], way, ANCHORS)[0])
-    parts = np.column_stack([way[0, :6].reshape(2, 3), way[0, 6:], sideways_tilt(observation[None], 0.15)[0]])
-    both = np.linalg.norm(parts, axis=1)
-    assert anchors.distances(observation[None], near)[0] == pytest.approx(both)
+def test_sub_goal_points_agree_with_the_environment(env: LunarRescueEnv) -> None:
+    observation, _ = env.reset_flat(options={"scene": sample_scene(0)})
+    e, row = env.episode, observation[None]
+    assert arm_ends(row)[0] == pytest.approx(e.observer.to_base(e.robot.ends).ravel(), abs=1e-5)
+    assert targets(row)[0] == pytest.approx(e.observer.to_base(e.targets()).ravel(), abs=1e-5)
 
 
-@pytest.mark.parametrize("acting", [False, True])
-def test_anchors_of_process_2_are_raised_and_go_back_where_a_body_slid_off(env: LunarRescueEnv, acting: bool) -> None:
-    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight")})
-    row, start, zero = first[None], np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
-    goals = targets(row)
-    under = row.copy()
-    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, goals[0]
-    anchors = RescueGoals(1, ACTING if acting else ANCHORS)
-    lowered = 0.1 if acting else 0.0
-    anchors.update(row, start)
-    anchors.update(under, ~start)
-    begun = anchors.subgoals(zero)  # a lift begins further under the body
-    assert begun[0, :6] - goals[0] == pytest.approx([0.1, 0, 0] * 2, abs=1e-5)
-    assert begun[0, 6:] == pytest.approx([0.015] * 2)
-    assert (anchors.subgoals(-np.eye(1, SUBGOAL_SIZE, dtype=np.float32)) - begun)[0, 0] == pytest.approx(-0.3)
-    further = under.copy()
-    further[0, _ENDS[[0, 3]]] += 0.1
-    anchors.update(further, ~start)
-    raised = anchors.subgoals(zero)
-    assert (raised - begun)[0] == pytest.approx([0, 0, 0.1] * 2 + [0, 0], abs=1e-5)
-    lifted = further.copy()
-    lifted[0, SLICES["P_G"].start : SLICES["P_G"].start + 6] += 0.1  # where the targets go does not matter
-    lifted[0, _ENDS[2]] += 0.08  # the arms stand 0.04 m higher
-    anchors.update(lifted, ~start)
-    assert (anchors.subgoals(zero) - raised)[0] == pytest.approx([0, 0, 0.04, 0, 0, 0.04, 0, 0], abs=1e-5)
-    centre = SLICES["P_P"].start + 2
-    for risen, lead in ((-0.04, 0.04), (0.04, -min(0.04, lowered)), (0.2, -lowered)):
-        lifted[0, centre] = further[0, centre] + 0.3 + risen
-        anchors.update(lifted, ~start)
-        heights = lifted[0, _ENDS[[2, 5]]]
-        assert not slipped(lifted, ANCHORS)[0]
-        assert anchors.subgoals(zero)[0, [2, 5]] - goals[0, [2, 5]] == pytest.approx(
-            (heights - goals[0, [2, 5]]).mean() + lead, abs=1e-5
-        )
-    off = under.copy()
-    off[0, _ENDS[2]] += 0.3 + 0.01  # arm A above its target area
-    anchors.update(off, ~start)
-    assert slipped(off, ANCHORS)[0] and not slipped(under, ANCHORS)[0]
-    way, whole = (made[0, :3] - arm_ends(off)[0, :3] for made in (anchors.subgoals(zero), next_points(off)))
-    assert way == pytest.approx(whole * min(1.0, (0.25 if acting else 0.3) / float(np.linalg.norm(whole))), abs=1e-5)
-    assert anchors.subgoals(zero)[0, 6:] == pytest.approx([-0.052] * 2)
-    turning = under.copy()
-    turning[0, SLICES["I"]] = [0.0, 1.0]
-    anchors.update(turning, ~start)
-    assert (anchors.subgoals(zero)[0, :6] - goals[0]) == pytest.approx([0, 0, 0.1] * 2, abs=1e-5)
-    high = turning.copy()
-    high[0, _ENDS[[2, 5]]] = goals[0, [2, 5]] + 0.5 + 0.1
-    anchors.update(high, ~start)
-    assert anchors.subgoals(zero)[0, 2] == pytest.approx(goals[0, 2] + 0.5, abs=1e-5)
-    turning[0, _ENDS[2]] = off[0, _ENDS[2]]
-    assert not slipped(turning, ANCHORS)[0]
+def test_sgn_s_outputs_are_the_sub_goal(env: LunarRescueEnv) -> None:
+    row = env.reset_flat(options={"scene": sample_scene(1)})[0][None]
+    ends, outputs = arm_ends(row), np.array([[1.0, 0.0, -0.5, -9.0, 0.25, 0.0]], np.float32)
+    goals = RescueGoals(GoalConfig(), PriorConfig())
+    goals.update(row, np.array([True]))
+    assert (goals.subgoals(outputs) - ends)[0] == pytest.approx([0.3, 0.0, -0.15, -0.3, 0.075, 0.0], abs=1e-6)
+    assert goals.outputs_of(goals.subgoals(outputs), ends)[0] == pytest.approx([1, 0, -0.5, -1, 0.25, 0], abs=1e-5)
+    far = np.array([[0.3, 0.0, 0.0, 0.0, 0.4, 0.0]], np.float32)
+    assert goals.distances(row, ends + far)[0] == pytest.approx([0.3, 0.4], abs=1e-6)
+    view = goals.view(row, ends + far, np.ones(1, np.float32))
+    assert view.shape == (1, SIZE + 6) and view[0, :SIZE] == pytest.approx(row[0])
+    assert view[0, SIZE:] == pytest.approx((ends + far)[0])
+    box = RescueGoals(GoalConfig(frame="box"), PriorConfig())
+    assert box.subgoals(np.zeros((1, 6), np.float32))[0] == pytest.approx([0.7, 0.0, 0.6] * 2)
+    assert box.subgoals(np.ones((1, 6), np.float32))[0] == pytest.approx([1.3, 0.9, 1.2] * 2)
+    assert box.outputs_of(box.subgoals(outputs), ends)[0] == pytest.approx([1, 0, -0.5, -1, 0.25, 0], abs=1e-5)
+
+
+def test_what_lln_is_given_besides_is_a_prior(env: LunarRescueEnv) -> None:
+    row = env.reset_flat(options={"scene": sample_scene(1)})[0][None]
+    goals = RescueGoals(GoalConfig(), PriorConfig(joint_step=True, set_point_changes=True, milestone_share=0.1))
+    far = np.array([[0.1, 0.0, 0.0, 0.0, 0.1, 0.0]], np.float32)
+    view = goals.view(row, arm_ends(row) + far, np.ones(1, np.float32))
+    assert view.shape == (1, SIZE + 6 + JOINTS) == (1, goals.view_size)
+    assert view[0, -JOINTS:] == pytest.approx(joint_step(row, far, GoalConfig())[0], abs=1e-5)
+    outputs = np.full((1, JOINTS), 0.5, np.float32)
+    assert goals.actions_of(row, outputs)[0] == pytest.approx(to_environment(row, outputs)[0])
+    assert RescueGoals(GoalConfig(), PriorConfig()).actions_of(row, 3 * outputs)[0] == pytest.approx(np.ones(JOINTS))
+
+
+def test_inr_has_the_four_terms_of_eq_2_and_milestones_only_as_a_prior() -> None:
+    class Terms:
+        terms = np.array([[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0]])  # in the order of TERMS
+
+    nothing = np.zeros((1, SIZE), np.float32)
+    assert TERMS == tuple(term.name for term in rewards.TERMS) and TERMS[0] == "approach"
+    assert RescueGoals(GoalConfig(), PriorConfig()).shared_reward(Terms, nothing) == pytest.approx([2 + 4 + 8])
+    some = RescueGoals(GoalConfig(), PriorConfig(milestone_share=0.5)).shared_reward(Terms, nothing)
+    assert some == pytest.approx([2 + 4 + 8 + 0.5 * (16 + 32 + 64)])
 
 
 def test_zero_output_holds_the_arms_still(env: LunarRescueEnv) -> None:
@@ -216,7 +163,7 @@ def _networks() -> tuple[RecurrentNetwork, RecurrentNetwork]:
 def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) -> None:
     first, _ = env.reset_flat(options={"scene": sample_scene(1)})
     row, start = first[None], np.array([True])
-    policy = HierarchicalPolicy(*_networks(), HierarchicalPolicyConfig(False, 5, ACTING))
+    policy = HierarchicalPolicy(*_networks(), replace(LAYERS, mirror=False))
     before = policy.act(row, start)
     seen = {}
     for name in ABLATIONS:
@@ -227,9 +174,6 @@ def test_ablations_take_one_layer_away_and_leave_the_other(env: LunarRescueEnv) 
         assert made.networks[0] is policy.networks[0]
         assert (made.networks[1] is policy.networks[1]) == (name != "untrained_lln")
     assert seen["fixed_target"] == pytest.approx(targets(row))
-    anchors = RescueGoals(1, ACTING)
-    anchors.update(row, start)
-    assert seen["anchors_alone"] == pytest.approx(anchors.subgoals(np.zeros((1, SUBGOAL_SIZE), np.float32))[:, :6])
     assert seen["untrained_lln"] == pytest.approx(policy.overlay()["sub-goal"].reshape(1, 6))
     with pytest.raises(UserError, match=r"--ablation.*fixed_target"):
         ablated(policy, "no_arms", "hrl_dcs")
@@ -243,10 +187,10 @@ def test_acting_in_a_batch_keeps_memories_apart() -> None:
     rows = rng.uniform(-1, 1, (7, 3, SIZE)).astype(np.float32)
     starts = np.zeros((7, 3), bool)
     starts[0], starts[4, 1] = True, True
-    together = HierarchicalPolicy(*networks, HierarchicalPolicyConfig(True, 5, ACTING))
+    together = HierarchicalPolicy(*networks, LAYERS)
     batch = [together.act(rows[t], starts[t]) for t in range(7)]
     for env in range(3):
-        alone = HierarchicalPolicy(*networks, HierarchicalPolicyConfig(True, 5, ACTING))
+        alone = HierarchicalPolicy(*networks, LAYERS)
         for t in range(7):
             single = alone.act(rows[t, env : env + 1], starts[t, env : env + 1])[0]
             assert single == pytest.approx(batch[t][env], abs=1e-5)
@@ -308,37 +252,3 @@ def test_hrl_dcs_learns_to_get_both_arms_under(tmp_path: object) -> None:
     config = replace(METHODS["hrl_dcs"].config("laptop"), steps=250_000)
     curve = train(METHODS["hrl_dcs"], config, 1, Path(str(tmp_path)) / "run", "laptop", quiet=True)
     assert curve["both_arms_under"].tail(12).mean() > 0.3
-
-
-def test_anchors_wait_no_longer_than_their_patience(env: LunarRescueEnv) -> None:
-    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="supine_straight", task="lift")})
-    under, start, zero = first[None].copy(), np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
-    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, targets(under)[0]
-    anchors = RescueGoals(1, ANCHORS)
-    for step in range(15 + 1):
-        anchors.update(under, start & (step == 0))
-        up = anchors.subgoals(zero)[0, 2] - arm_ends(under)[0, 2]
-        assert up == pytest.approx(0.1 if step == 15 else 0.0, abs=1e-5)
-
-
-@pytest.mark.parametrize("task", ["lift", "turn_over"])
-def test_anchors_of_a_body_face_down_slope_more_and_move_as_they_rise(env: LunarRescueEnv, task: str) -> None:
-    first, _ = env.reset_flat(options={"scene": sample_scene(1, posture="prone_straight", task=task)})
-    furthers, rises = {"lift": ((0.15, 0.0), (0.015, 0.105)), "turn_over": ((0.0, 0.3), (0.03, 0.03))}[task]
-    under, start, zero = first[None].copy(), np.array([True]), np.zeros((1, SUBGOAL_SIZE), np.float32)
-    goals = targets(under)[0].copy()
-    under[0, SLICES["phase"].start], under[0, _ENDS] = 1.0, goals
-    anchors = RescueGoals(1, ANCHORS)
-    anchors.update(under, start)
-    for share in (0.0, 0.5, 1.0):
-        raised = 0.05 + share * 0.25
-        row = under.copy()
-        row[0, _ENDS[[2, 5]]] += raised
-        further, tips = (pair[0] + share * (pair[1] - pair[0]) for pair in (furthers, rises))
-        row[0, _ENDS[[0, 3]]] += further  # so that nothing is cut at the stride
-        row[0, SLICES["P_G"].start + 2] += raised  # nor the body taken for slid off
-        row[0, SLICES["P_G"].start + 5] += raised
-        anchors.update(row, ~start)
-        places = anchors.subgoals(zero)[0]
-        assert places[[0, 3]] - goals[[0, 3]] == pytest.approx([further] * 2, abs=1e-5)
-        assert places[6:] == pytest.approx([tips] * 2, abs=1e-6)

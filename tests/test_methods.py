@@ -147,10 +147,16 @@ def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
 
 def test_all_methods_meet_the_same_terms() -> None:
     """Steps, agents, scenes, view and reward weights are one preset's; only what is a method's own differs."""
-    own = {"low", "high", "hierarchy", "anchors", "acting", "fun", "sac", "obstacle_reward"}
+    own = {"low", "high", "hierarchy", "goals", "imitation", "fun", "sac", "obstacle_reward"}
     for preset in PRESETS:
         common = {key: value for key, value in to_dict(METHODS["hrl_dcs"].config(preset)).items() if key not in own}
-        assert {"steps", "n_envs", "reward", "lying_weight", "mirrored", "scenes"} <= set(common)
+        assert {"steps", "n_envs", "reward", "priors", "scenes"} <= set(common)
         for name in LEARNING:
-            found = to_dict(METHODS[name].config(preset))
-            assert {key: value for key, value in found.items() if key not in own} == common
+            config = METHODS[name].config(preset)
+            assert config.priors.demonstrations == name.endswith("_demos")
+            shared = {key: value for key, value in to_dict(config).items() if key not in own}
+            # What begins from demonstrations says so, and has steps of its own.
+            priors = {**shared["priors"], "demonstrations": False}
+            steps = common["steps"] if config.priors.demonstrations else shared["steps"]
+            assert {**shared, "priors": priors, "steps": steps} == common
+        assert set(common["priors"].values()) == ({False, 1, 0.0} if preset == "paper" else {True, False, 1, 0.0})

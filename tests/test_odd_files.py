@@ -58,26 +58,25 @@ ODD: list[tuple[str, str, str]] = [
     ("networks.sgn.hidden_units", "64", "policy.safetensors: sgn."),
     ("networks.sgn.bounded_mean", "1", "bounded_mean: expected a valid boolean"),
     ("networks.sgn.layers", "2", "networks.sgn.layers: unknown field"),
-    ("mirrored", "1", "mirrored: expected a valid boolean"),
-    ("mirrored", "null", "mirrored: expected a valid boolean"),
+    ("mirror", "1", "mirror: expected a valid boolean"),
+    ("set_point_changes", "null", "set_point_changes: expected a valid boolean"),
     ("interval", "0", "interval: expected greater than or equal to 1, got 0"),
     ("interval", "5.5", "interval: expected a valid integer, got 5.5"),
     ("interval", "[5]", "interval: expected a valid integer"),
     ("interval", "9" * 400, "interval: expected"),
-    ("anchors", "{}", "anchors.reach_in: missing"),
-    ("anchors", "[0.25]", "anchors: expected"),
-    ("anchors.stride", "NaN", "anchors.stride: expected a finite number"),
-    ("anchors.stride", "Infinity", "anchors.stride: expected"),
-    ("anchors.stride", "-0.25", "anchors.stride: expected greater than or equal to 0.001"),
-    ("anchors.stride", "1e300", "anchors.stride: expected less than or equal to 10"),
-    ("anchors.stride", "9" * 400, "anchors.stride: expected"),
-    ("anchors.stride", '"far"', "anchors.stride: expected a valid number, got 'far'"),
-    ("anchors.damping", "0", "anchors.damping: expected greater than or equal to 0.001"),
-    ("anchors.patience", "-1", "anchors.patience: expected greater than or equal to 0"),
-    ("anchors.lift", "[1, 2]", "anchors.lift: expected"),
-    ("anchors.lift.rise", "{}", "anchors.lift.rise: expected a valid number"),
-    ("anchors.rising_to", "0.05", "rising_to: expected more than 0.05, got 0.05"),
-    ("anchors.tempo", "1", "anchors.tempo: unknown field"),
+    ("goals", "{}", "goals.frame: missing"),
+    ("goals", "[0.25]", "goals: expected"),
+    ("goals.frame", '"world"', "goals.frame: expected"),
+    ("goals.reach", "NaN", "goals.reach: expected a finite number"),
+    ("goals.reach", "Infinity", "goals.reach: expected"),
+    ("goals.reach", "-0.25", "goals.reach: expected greater than or equal to 0.001"),
+    ("goals.reach", "1e300", "goals.reach: expected less than or equal to 10"),
+    ("goals.reach", "9" * 400, "goals.reach: expected"),
+    ("goals.reach", '"far"', "goals.reach: expected a valid number, got 'far'"),
+    ("goals.damping", "0", "goals.damping: expected greater than or equal to 0.001"),
+    ("goals.furthest", "[1, 2]", "goals.furthest: expected"),
+    ("goals.tempo", "1", "goals.tempo: unknown field"),
+    ("joint_step", "0", "joint_step: expected a valid boolean"),
     ("remark", '"mine"', "remark: unknown field"),
 ]  # fmt: skip
 
@@ -114,7 +113,7 @@ def test_odd_policy_descriptions_are_refused_in_one_line(tmp_path: Path) -> None
         assert words in (said := complaint(run)), (where, text[:40], said)
         assert said.startswith(str(run))
         path.write_text(whole)
-    for name in [*json.loads(whole), "networks.lln.actions", "anchors.turn.further"]:
+    for name in [*json.loads(whole), "networks.lln.actions", "goals.reach"]:
         raw = inner = json.loads(whole)
         *parents, last = name.split(".")
         for parent in parents:
@@ -165,9 +164,9 @@ def test_odd_weights_are_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_the_command_says_so_and_ends_with_code_2(tmp_path: Path) -> None:
     run = policy(tmp_path)
-    with_text(run / "policy.json", "anchors.stride", "1e300")
+    with_text(run / "policy.json", "goals.reach", "1e300")
     done = call("evaluate", str(run), "--tests", "1")
-    assert done.code == 2 and "anchors.stride: expected less than or equal to 10, got 1e+300" in done.complaint
+    assert done.code == 2 and "goals.reach: expected less than or equal to 10, got 1e+300" in done.complaint
 
 
 class Learner:

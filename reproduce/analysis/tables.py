@@ -165,7 +165,6 @@ def by_attitude(name: str = "evaluation", results: Path = RESULTS) -> pd.DataFra
 LAYERS = {
     "both_layers": "both layers, as trained",
     "fixed_target": "SGN replaced by the target areas",
-    "anchors_alone": "SGN silent: the next point of the way in",
     "untrained_lln": "LLN untrained",
 }
 

@@ -85,14 +85,6 @@ class ArmChain:
         return np.stack(rows, axis=1)
 
 
-def normal_y(joints: Floats) -> Floats:
-    """Return the y of ``ArmChain.normal``, which no waist changes, (...,) for joints (..., 5): 0 if level across."""
-    s, c = np.sin(joints), np.cos(joints)
-    along = c[..., 3] * s[..., 2] * c[..., 1] - s[..., 3] * s[..., 1]
-    across: Floats = c[..., 4] * along + s[..., 4] * c[..., 2] * c[..., 1]
-    return across
-
-
 def solve_arms(
     targets: Array, slopes: Array, waists: Array, side: int, starts: Array, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
