@@ -12,14 +12,25 @@ import torch as th
 from safetensors.torch import load_file, save_file
 
 from lunar_rescue import LunarRescueEnv, RewardWeights, sample_scene
-from lunar_rescue.observation import SIZE
+from lunar_rescue.observation import SIZE, SLICES
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.planner.planner import RescuePlanner
 from reproduce.baselines.planner.rollout import Noise
 from reproduce.experiments.demonstrate import demonstrate, demonstrate_scene
+from reproduce.hrl_dcs.config import GoalConfig
+from reproduce.hrl_dcs.hindsight import commanded, lln_example, reached, sgn_examples
+from reproduce.hrl_dcs.policy import HighLevel
+from reproduce.hrl_dcs.subgoals import RescueGoals
 from reproduce.learning.actions import LARGEST_CHANGE, to_environment, to_outputs
-from reproduce.learning.demonstrations import Demonstration, play_back, read_demonstrations, write_demonstrations
-from reproduce.learning.imitation import Example, Imitation, ImitationConfig, evaluate, imitation_losses
+from reproduce.learning.config import ImitationConfig, PriorConfig
+from reproduce.learning.demonstrations import (
+    Demonstration,
+    PlayedBack,
+    play_back,
+    read_demonstrations,
+    write_demonstrations,
+)
+from reproduce.learning.imitation import Example, Imitation, evaluate, imitation_losses
 from reproduce.learning.networks import Memory, NetworkSpec
 from reproduce.storage.errors import UserError
 
@@ -113,7 +124,6 @@ def test_what_was_wanted_under_noise_is_not_what_was_done(rescues: list[Demonstr
         assert 0.3 < away.std() / (0.1 * LARGEST_CHANGE) < 2.0
 
 
-@pytest.mark.process
 def test_a_rescue_is_played_back_as_it_was_seen(rescues: list[Demonstration], env: LunarRescueEnv) -> None:
     (played,) = play_back(rescues[:1], weights=RewardWeights(), gamma=0.5, mirrored=False, workers=1)
     seen, _ = env.reset_flat(options={"scene": sample_scene(rescues[0].seed)})
@@ -190,3 +200,41 @@ def test_a_network_learns_what_needs_a_memory() -> None:
     assert losses[0]["imitation_loss"] > 0.05 and losses[-1]["value_loss"] < losses[0]["value_loss"]
     with th.no_grad():
         assert float(imitation_losses(network, _examples(50, rng))[0]) < 0.01
+
+
+def _played(ends: Any, begin: int = 0) -> PlayedBack:
+    """Return a demonstration whose arm ends are known, (t, 6) [m], and nothing else."""
+    observations = np.zeros((len(ends), SIZE), np.float32)
+    for arm, columns in (("P_A", slice(0, 3)), ("P_B", slice(3, 6))):
+        at = SLICES[arm].start + 15
+        observations[:, at : at + 3] = ends[:, columns]
+    outputs = np.full((len(ends), JOINTS), 0.25, np.float32)
+    return PlayedBack(observations, outputs, np.arange(len(ends), dtype=np.float32), begin)
+
+
+def test_hindsight_sub_goals_are_where_the_arms_were_n_steps_later() -> None:
+    ends = np.repeat(np.arange(7, dtype=np.float32)[:, None] / 10, 6, axis=1)  # 0.1 m a step
+    assert reached(ends, 3)[:, 0] == pytest.approx([0.3, 0.3, 0.3, 0.6, 0.6, 0.6, 0.6])
+    goals = RescueGoals(GoalConfig(reach=0.5), PriorConfig())
+    first, second, third = sgn_examples(goals, _played(ends, begin=4), 3)
+    # From 0, 0.3 and 0.6 m to 0.3, 0.6 and 0.6 m (the end), in units of 0.5 m; then from 0.1 m on, and from 0.2 m.
+    assert first.outputs[:, 0] == pytest.approx([0.6, 0.6, 0.0]) and first.returns == pytest.approx([0, 3, 6])
+    assert second.outputs[:, 0] == pytest.approx([0.6, 0.4]) and third.outputs[:, 5] == pytest.approx([0.6, 0.2])
+    assert (first.begin, second.begin, third.begin) == (2, 1, 1)  # the first decisions at step 4 or later
+    example = lln_example(goals, _played(ends, begin=4), reached(ends, 3))
+    assert example.observations.shape == (7, SIZE + 6) and example.begin == 4
+    assert example.observations[3, SIZE:] == pytest.approx([0.6] * 6) and (example.outputs == 0.25).all()
+
+
+def test_lln_also_learns_under_the_sub_goals_that_sgn_sets() -> None:
+    goals, interval = RescueGoals(GoalConfig(), PriorConfig()), 3
+    sgn = NetworkSpec(SIZE, 6, 16, True).build()
+    sgn.set_training_mode(False)
+    rng = np.random.default_rng(0)
+    played = [_played(rng.uniform(0, 1, (steps, 6)).astype(np.float32)) for steps in (5, 8)]
+    for one, subgoals in zip(played, commanded(sgn, goals, played, interval), strict=True):
+        high = HighLevel(sgn, goals, interval, 1)
+        for step, row in enumerate(one.observations):
+            high.advance(row[None], np.array([step == 0]))
+            assert subgoals[step] == pytest.approx(high.subgoals[0], abs=1e-5)
+        assert (subgoals[0] == subgoals[2]).all() and (subgoals[2] != subgoals[3]).any()

@@ -159,4 +159,4 @@ def test_all_methods_meet_the_same_terms() -> None:
             priors = {**shared["priors"], "demonstrations": False}
             steps = common["steps"] if config.priors.demonstrations else shared["steps"]
             assert {**shared, "priors": priors, "steps": steps} == common
-        assert set(common["priors"].values()) == ({False, 1, 0.0} if preset == "paper" else {True, False, 1, 0.0})
+        assert set(common["priors"].values()) == ({False, 1} if preset == "paper" else {True, False})

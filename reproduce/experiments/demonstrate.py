@@ -63,6 +63,7 @@ def demonstrate(
     deviations: tuple[float, ...] = DEVIATIONS,
     tell: Callable[[str], object] = print,
     quiet: bool = False,
+    wait: bool = False,
 ) -> tuple[list[Demonstration], float]:
     """Demonstrate so many training scenes and write the rescues to a file, every ``CHUNK`` scenes.
 
@@ -75,6 +76,7 @@ def demonstrate(
         deviations: Of the noise, see ``DEVIATIONS``.
         tell: Called with a line in the end.
         quiet: Whether to leave the progress bar out.
+        wait: Whether to wait for another process that makes demonstrations in the same folder.
 
     Raises:
         UserError: On numbers out of range, a place that cannot be written, or a file of another kind.
@@ -85,7 +87,7 @@ def demonstrate(
         raise UserError(f"first seed: expected training scenes, {TRAIN.start} to {TRAIN.stop - 1}; got {first_seed}")
     check_writable(out)
     kind = {"first_seed": str(first_seed), "deviations": str(list(deviations))}
-    with locked(out.parent, "demonstrations"):
+    with locked(out.parent, "demonstrations", wait=wait):
         rescues, done, seconds = _so_far(out, kind)
         for start in range(first_seed + done, first_seed + scenes, CHUNK):
             seeds = range(start, min(start + CHUNK, first_seed + scenes))

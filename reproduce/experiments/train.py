@@ -189,7 +189,7 @@ class _Run:
         """Let the training imitate demonstrations, which are made where they are not there yet; their time counts."""
         config: Any = self.config  # only those that imitate have demonstrations
         path = RESULTS / "scratch" / f"demonstrations_{config.imitation.scenes}.safetensors"
-        rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet)
+        rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet, wait=True)
         begun = time.monotonic()
         seen = {"weights": config.reward, "gamma": config.low.gamma, "mirrored": config.priors.mirror}
         rows: list[dict[str, Any]] = []

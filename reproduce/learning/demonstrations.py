@@ -32,6 +32,7 @@ Floats = NDArray[np.float32]
 
 FORMAT = "lunar-rescue demonstrations 1"
 LARGEST = 500_000_000  # bytes of a file
+FEW = 16
 #: Tensors of a file: of each demonstration seed, number of steps and first step to imitate, then all steps end to end.
 TENSORS = {"seeds": th.int64, "lengths": th.int64, "begins": th.int64, "actions": th.float32, "wanted": th.float32}
 
@@ -159,7 +160,13 @@ def play_back(
     Raises:
         UserError: Where one does not end in a rescue: the file is not of this environment.
     """
-    played = list(map_in_processes(_play, list(demonstrations), workers, _prepare, (weights, gamma, mirrored)))
+    everything, how = list(demonstrations), (weights, gamma, mirrored)
+    if len(everything) <= FEW:  # starting processes would take longer
+        _prepare(*how)
+        played = list(map(_play, everything))
+        _STATE.pop("env").close()
+    else:
+        played = list(map_in_processes(_play, everything, workers, _prepare, how))
     failed = sum(one is None for one in played)
     if failed:
         raise UserError(f"demonstrations: {failed} of {len(played)} do not end in a rescue when they are played back")
