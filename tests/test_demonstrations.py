@@ -213,7 +213,7 @@ def _played(ends: Any, begin: int = 0) -> PlayedBack:
 
 
 def test_hindsight_sub_goals_are_where_the_arms_were_n_steps_later() -> None:
-    ends = np.repeat(np.arange(7, dtype=np.float32)[:, None] / 10, 6, axis=1)  # 0.1 m a step
+    ends = np.repeat(0.1 * np.arange(7)[:, None], 6, axis=1).astype(np.float32)  # 0.1 m a step
     assert reached(ends, 3)[:, 0] == pytest.approx([0.3, 0.3, 0.3, 0.6, 0.6, 0.6, 0.6])
     goals = RescueGoals(GoalConfig(reach=0.5), PriorConfig())
     first, second, third = sgn_examples(goals, _played(ends, begin=4), 3)
