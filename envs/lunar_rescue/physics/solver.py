@@ -44,8 +44,8 @@ class SolverSettings:
     free_iterations: Iterations = 10
     """Iterations while none is."""
     near: Annotated[float, Field(ge=0.0, le=10.0)] = 0.25
-    """Distance of an arm's end to its target from which on it counts as at the astronaut [m], as does an arm within some
-    2 cm of the suit, and all of process 2."""
+    """Distance of an arm's end to its target from which on it counts as at the astronaut [m], as does an arm within
+    some 2 cm of the suit, and all of process 2."""
 
     def __post_init__(self) -> None:
         """Refuse substeps that do not fill a control step, or that do not fit into each other."""
