@@ -24,6 +24,11 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let tests that start processes, which take longest, come first: no worker is left alone with them in the end."""
+    items.sort(key=lambda item: item.get_closest_marker("process") is None)
+
+
 @pytest.fixture(scope="module")
 def env() -> Iterator[LunarRescueEnv]:
     made = LunarRescueEnv()
