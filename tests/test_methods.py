@@ -13,6 +13,7 @@ import pytest
 import torch as th
 from safetensors.torch import load_file
 
+from lunar_rescue import RewardWeights
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.sac import SacTraining
@@ -126,9 +127,9 @@ def test_the_ablation_changes_the_obstacle_reward_and_nothing_else() -> None:
 
 @pytest.mark.process
 def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
-    found = {}
+    found, literal = {}, RewardWeights(contact_form="literal")  # which pays for every step without a contact
     for kind in ("aapf", "contact"):
-        venv = WorkerVecEnv(2, 0, EnvOptions({"obstacle_reward": kind, "max_steps": 6}), workers=1)
+        venv = WorkerVecEnv(2, 0, EnvOptions({"obstacle_reward": kind, "max_steps": 6, "weights": literal}), workers=1)
         try:
             venv.reset()
             rewards = []

@@ -78,7 +78,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     method = METHODS["ppo_lstm"]
     config = replace(method.config("smoke"), steps=512, n_envs=2)
     train(method, config, 0, folder, "smoke", quiet=True, tensorboard=results / "scratch" / "tensorboard")
-    evaluate(folder, tests=2, quiet=True, json=folder / "evaluation.json")
+    evaluate(folder, 2, 2_020_000_000, quiet=True, json=folder / "evaluation.json")
     executed(results / "notebooks" / "01_try.ipynb")
     return results
 

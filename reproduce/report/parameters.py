@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from lunar_rescue.scenes.splits import TRAIN
+from lunar_rescue.scenes.splits import HELDOUT
 from reproduce.experiments.presets import PRESETS
 from reproduce.storage.errors import UserError
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-_Seed = Annotated[int, Field(strict=True, ge=0, lt=TRAIN.stop)]
+_Seed = Annotated[int, Field(strict=True, ge=0, lt=HELDOUT.stop)]
 #: Every parameter that some notebook has: its type and range.
 PARAMETERS: dict[str, TypeAdapter[Any]] = {
     "preset": TypeAdapter(str, config=STRICT),
