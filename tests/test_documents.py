@@ -13,9 +13,11 @@ PAGES = ["README.md", "CONTRIBUTING.md", *sorted(str(p.relative_to(ROOT)) for p 
 ENDINGS = "py|md|toml|json|lock|csv|yml|yaml|urdf|obj|ipynb|html"
 #: A path with a folder, or a file's name alone, which may lie anywhere.
 NAME = re.compile(rf"`(?:[\w.-]+/)+[\w.-]*`|`\w+\.(?:{ENDINGS})`")
-#: What commands make, here or in the folder of a batch, and what stands for a name: METHOD, seedK.
+#: What commands make, here or in a folder of a batch or a run, and what stands for a name: METHOD, seedK. Results of an
+#: environment version are not there before its trainings are.
 MADE = re.compile(
-    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded)(/|$)|.*(METHOD|PRESET|NAME|DIR)\b"
+    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded|reference|solvability)(/|$)"
+    r"|(results/)?(bench(_\w+)?|claims|table1|timings|config|policy|run)\.(json|csv)$|.*(METHOD|PRESET|NAME|DIR)\b"
 )
 
 
