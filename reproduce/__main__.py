@@ -34,17 +34,16 @@ def train(
     """Train a method and write a run folder."""
     if as_needed and (resume or tensorboard):
         raise UserError("--as-needed: goes on by itself and keeps no other log; leave --resume, --tensorboard out")
+    from reproduce.experiments import train as training
     from reproduce.experiments.methods import get_method
-    from reproduce.experiments.train import train as run
-    from reproduce.experiments.train import train_as_needed
 
     entry = get_method(method)
     config = entry.config(preset)
     config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
     if as_needed:
-        train_as_needed(entry, config, seed, out, preset)
+        training.train_as_needed(entry, config, seed, out, preset)
     else:
-        run(entry, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
+        training.train(entry, config, seed, out, preset, resume=resume, tensorboard=tensorboard)
     typer.echo(f"{out}: trained {method} for {config.steps} steps")
 
 
@@ -62,15 +61,8 @@ def evaluate(
     from reproduce.experiments.evaluate import evaluate as test
     from reproduce.experiments.pool import first_scene
 
-    test(
-        run,
-        tests,
-        first_scene(split, first_seed, typer.echo),
-        ablation=ablation,
-        easy=easy,
-        json=json,
-        tell=_print_evaluation,
-    )
+    seed = first_scene(split, first_seed, typer.echo)
+    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation)
 
 
 @app.command("evaluate-reference")
@@ -261,9 +253,8 @@ def solvable(
     from reproduce.experiments.pool import first_scene
     from reproduce.experiments.solvability import measure_solvability, print_solvability
 
-    print_solvability(
-        measure_solvability(tests, first_scene(split, first_seed, typer.echo), variants=variants, json=json), typer.echo
-    )
+    seed = first_scene(split, first_seed, typer.echo)
+    print_solvability(measure_solvability(tests, seed, variants=variants, json=json), typer.echo)
 
 
 @app.command()

@@ -149,7 +149,7 @@ def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None
     assert {"README.md", "policy.safetensors", "policy.json", "config.json", "run.json"} <= {
         p.name for p in out.iterdir()
     }
-    evaluate(out, tests=2, quiet=True, json=tmp_path / "again.json")
+    evaluate(out, 2, 2_020_000_000, quiet=True, json=tmp_path / "again.json")
     assert (tmp_path / "again.csv").read_text() == (out / "evaluation.csv").read_text()
     with pytest.raises(UserError, match="not empty"):
         export("ppo_lstm", out, results=results)
