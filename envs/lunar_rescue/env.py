@@ -81,7 +81,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         self._zero = np.zeros(JOINTS)
 
     def set_max_steps(self, max_steps: int) -> None:
-        """Set phi_max, to which time bonus, ``phase`` and truncation count from the next step on."""
+        """Set phi_max, to which time bonus, ``phase`` and the step limit count from the next step on."""
         if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
             raise ValueError(f"max_steps: expected an integer >= 1, got {max_steps!r}")
         self.max_steps = max_steps

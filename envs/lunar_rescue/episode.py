@@ -42,9 +42,8 @@ class Episode:
     touched: bool = False  # whether an arm was within some 2 cm of the suit at the end of the last substep
     aapf: float = 0.0  # AAPF term of the last step
     nearest_mark: float = math.inf  # least distance of a joint to a mark point in any step [m]
-    forces: Array = field(
-        default_factory=lambda: np.zeros((2, 3))
-    )  # of the arms on the body, mean of the last step [N]
+    # Of the arms on the body, mean of the last step (2, 3) [N]
+    forces: Array = field(default_factory=lambda: np.zeros((2, 3)))
     peak_force: float = 0.0  # greatest of an arm on the body in any step [N]
     peak_speed: float = 0.0  # greatest of the body's centre of gravity after any step [m/s]
     peak_acceleration: float = 0.0  # greatest mean of a step [m/s^2]

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.physics.simulation import LUNAR_GRAVITY
-from lunar_rescue.physics.solver import SETTINGS, SolverSettings
+from lunar_rescue.physics.solver import CONTROL_STEP, SETTINGS, SolverSettings
 from reproduce.baselines.planner.planner import RescuePlanner
 from reproduce.experiments.evaluate import find_policy
 from reproduce.experiments.pool import map_scenes, scene_seeds
-from reproduce.storage.files import check_writable, locked, write_atomically
+from reproduce.storage.files import check_writable, locked
 from reproduce.storage.paths import COMMITTED
-from reproduce.storage.provenance import record_origin
+from reproduce.storage.provenance import write_table
 
 FOLDER = COMMITTED / "convergence"
 PLANS = "plans"
@@ -86,7 +86,7 @@ def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[
     """Act one scene out and return how it ended, overlaps of arm and body, and what a step took."""
     observation, _ = env.reset_flat(options={"scene": scene})
     info: dict[str, Any] = {}
-    start, overlaps, seconds, balance, done = np.array([True]), [], 0.0, np.nan, False
+    start, overlaps, seconds, done = np.array([True]), [], 0.0, False
     replayed: Iterator[Actions] = iter(plan)
     while not done:
         action = next(replayed, None) if policy is None else policy.act(observation[None], start)[0]
@@ -98,21 +98,25 @@ def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[
         start, done = np.array([False]), terminated or truncated
         depths = env.simulation.overlaps(env.robot.handle, env.episode.astronaut.handle)
         overlaps += [max(depths)] if depths else []
-        up = scene.terrain.up()
-        gained = (env.episode.body.velocity - before.velocity) @ up / 0.1
-        balance = float(env.episode.forces.sum(axis=0) @ up / scene.mass - gained - LUNAR_GRAVITY) / LUNAR_GRAVITY
+    balance, success = np.nan, bool(info.get("is_success", False))
+    if success and scene.task == "lift":
+        # Of the last step: what the arms bore, less weight and what the body gained, in weights.
+        borne = (
+            env.episode.forces.sum(axis=0) / scene.mass - (env.episode.body.velocity - before.velocity) / CONTROL_STEP
+        )
+        balance = float(borne @ scene.terrain.up() - LUNAR_GRAVITY) / LUNAR_GRAVITY
     return {
         "task": scene.task,
         "posture": scene.posture,
-        "success": bool(info.get("is_success", False)),
+        "success": success,
         "failure": info.get("failure"),
         "steps": env.episode.steps,
         "contact_steps": len(overlaps),
         "deep_steps": sum(depth > DEEP for depth in overlaps),
         "deepest": max(overlaps, default=0.0),
-        "balance": balance if scene.task == "lift" and info.get("is_success") else np.nan,
+        "balance": balance,
         "peak_force": env.episode.peak_force,
-        "step_us": 1e6 * seconds / max(1, env.episode.steps),
+        "step_us": round(1e6 * seconds / max(1, env.episode.steps)),
     }
 
 
@@ -173,9 +177,7 @@ def measure_convergence(
         nested = map_scenes(job, seeds, _prepare, (tuple(actors), tuple(grid)), title="convergence", quiet=quiet)
         rows = pd.DataFrame([row for scene in nested for row in scene])
         summaries = summarise_convergence(rows, label(grid[-1]))
-        write_atomically(table, lambda path: rows.round(6).to_csv(path, index=False))
-        write_atomically(summary, lambda path: summaries.round(4).to_csv(path, index=False))
-        for path in (table, summary):
-            record_origin(path)
+        write_table(table, rows.round(6))
+        write_table(summary, summaries.round(4))
     tell(summaries.round(3).to_string(index=False))
     return summaries

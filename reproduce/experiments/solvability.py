@@ -16,9 +16,9 @@ from reproduce.baselines.planner.planner import VARIANTS, PlannerPolicy, RescueP
 from reproduce.experiments.evaluate import run_episode
 from reproduce.experiments.pool import map_scenes, scene_seeds
 from reproduce.experiments.rows import count_by, wilson
-from reproduce.storage.files import check_writable, locked, write_atomically, write_json
+from reproduce.storage.files import check_writable, locked, write_json
 from reproduce.storage.paths import COMMITTED
-from reproduce.storage.provenance import provenance, record_origin
+from reproduce.storage.provenance import provenance, write_table
 
 FOLDER = COMMITTED / "solvability"
 #: Column of a scene's row and what its share tells.
@@ -118,8 +118,7 @@ def measure_solvability(
         scenes = pd.DataFrame(rows).round(3)
         took = {"seconds": round(time.monotonic() - begun, 2), "origin": provenance()}
         summary = {"first_seed": first_seed, "most_variants": variants} | summarise_solvability(scenes) | took
-        write_atomically(table, lambda path: scenes.to_csv(path, index=False, lineterminator="\n"))
-        record_origin(table)
+        write_table(table, scenes)
         for path in summaries:
             write_json(path, summary)
     return summary
