@@ -84,8 +84,12 @@ class HierarchicalPolicy(MirroredPolicy):
         return {"sub-goal": self._mirror.points(self._high.subgoals.reshape(-1, 2, 3))}
 
 
+def network_sizes(config: HierarchicalPolicyConfig) -> dict[str, tuple[int, int]]:
+    """Return how many numbers each layer sees and puts out."""
+    return {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(config.joint_step), JOINTS)}
+
+
 def load_hierarchical_policy(folder: Path) -> HierarchicalPolicy:
     """Read the policy of a run folder; see ``load_networks``."""
     config = load_policy_config(folder, HierarchicalPolicyConfig)
-    sizes = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(config.joint_step), JOINTS)}
-    return HierarchicalPolicy(**load_networks(folder, sizes, NetworkSpec), config=config)
+    return HierarchicalPolicy(**load_networks(folder, network_sizes(config), NetworkSpec), config=config)
