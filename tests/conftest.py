@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -25,8 +26,23 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # under nohup
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let tests that start processes, which take longest, come first: no worker is left alone with them in the end."""
-    items.sort(key=lambda item: item.get_closest_marker("process") is None)
+    """Let tests that start processes, which take longest, come first in every worker's share of the tests.
+
+    ``--dist worksteal`` begins by giving each worker as many tests as any other, in their order; others may take what
+    is last in a share, but a long test that is under way stays where it is.
+    """
+    count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    long: dict[Any, list[pytest.Item]] = {item.fspath: [] for item in items if item.get_closest_marker("process")}
+    rest = iter([item for item in items if not item.get_closest_marker("process")])
+    for item in items:
+        if item.get_closest_marker("process"):
+            long[item.fspath].append(item)
+    modules = sorted(long.values(), key=lambda tests: ("workflow" not in str(tests[0].fspath), len(tests)))
+    shares = [list(itertools.chain(*modules[index::count])) for index in range(count)]
+    sizes = [(index + 1) * len(items) // count - index * len(items) // count for index in range(count)]
+    for share, size in zip(shares, sizes, strict=True):
+        share += itertools.islice(rest, max(0, size - len(share)))
+    items[:] = [*itertools.chain(*shares), *rest]
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from reproduce.storage.paths import ROOT
 ORDER = {
     "reproduce": (
         ("__main__",),
+        ("studies",),
         ("console",),
         ("report",),
         ("bench",),
@@ -38,7 +39,7 @@ ORDER = {
 }
 LONGEST_FILE, LONGEST_FUNCTION = 300, 40  # lines
 SHORT_DOCSTRING, SHORT_DOCSTRINGS = 5, 30  # words; fewer of them than
-MOST_LINES = 13_750  # without examples
+MOST_LINES = 14_400  # without examples
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -131,7 +131,7 @@ def test_a_batch_does_again_only_what_changed(done: Path) -> None:
     assert left(plan("random"), done)[-1] == "0 steps left"
     run_batch(plan("random"), done, until="tables", echo=_quiet)
     assert evaluation.stat().st_mtime_ns == before
-    assert left(another, done)[0] == "reference/random/seed0/evaluation.json"
+    assert "reference/random/seed0/evaluation.json" in left(another, done)
     run_batch(another, done, until="tables", echo=_quiet)
     assert evaluation.stat().st_mtime_ns != before
     assert left(another, done)[-1] == "0 steps left" and left(plan("random"), done)[-1] == "3 steps left"

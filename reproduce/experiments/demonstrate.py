@@ -26,9 +26,10 @@ from reproduce.storage.files import check_writable, locked
 from reproduce.storage.provenance import provenance
 
 FIRST_SEED = 1_500_000_000  # of the training scenes that are demonstrated
-#: Standard deviations of the noise on set-points, in largest changes of a step; one plan is tried under each.
-DEVIATIONS = (0.15, 0.3)
-CHUNK = 100  # scenes after which the file is written
+#: Standard deviations of the noise on set-points, in largest changes of a step; each plan is tried under each, which
+#: is cheap beside planning.
+DEVIATIONS = (0.1, 0.15, 0.2, 0.3)
+CHUNK = 400  # scenes after which the file is written; each chunk starts its processes anew
 _PLANNER: list[RescuePlanner] = []
 
 
@@ -81,10 +82,7 @@ def demonstrate(
     Raises:
         UserError: On numbers out of range, a place that cannot be written, or a file of another kind.
     """
-    if scenes < 1:
-        raise UserError(f"scenes: expected at least 1, got {scenes}")
-    if first_seed not in TRAIN or first_seed + scenes - 1 not in TRAIN:
-        raise UserError(f"first seed: expected training scenes, {TRAIN.start} to {TRAIN.stop - 1}; got {first_seed}")
+    _check(scenes, first_seed)
     check_writable(out)
     kind = {"first_seed": str(first_seed), "deviations": str(list(deviations))}
     with locked(out.parent, "demonstrations", wait=wait):
@@ -101,6 +99,13 @@ def demonstrate(
             write_demonstrations(out, rescues, {**kind, **about})
     tell(f"{out}: {len(rescues)} rescues of {done} scenes, made in {seconds / 60:.1f} minutes")
     return rescues, seconds
+
+
+def _check(scenes: int, first_seed: int) -> None:
+    if scenes < 1:
+        raise UserError(f"scenes: expected at least 1, got {scenes}")
+    if first_seed not in TRAIN or first_seed + scenes - 1 not in TRAIN:
+        raise UserError(f"first seed: expected training scenes, {TRAIN.start} to {TRAIN.stop - 1}; got {first_seed}")
 
 
 def _so_far(path: Path, kind: dict[str, str]) -> tuple[list[Demonstration], int, float]:

@@ -76,8 +76,8 @@ class ImitationConfig:
     scenes: PositiveInt = 2600  # Training scenes that the planner demonstrates
     epochs: PositiveInt = 20  # Passes over all demonstrations
     episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
-    learning_rate: PositiveFloat = 1.0e-3  # At the beginning; falls on half a cosine
-    final_learning_rate: NonNegativeFloat = 1.0e-5  # At the end
+    learning_rate: PositiveFloat = 1.0e-3  # Learning rate at the beginning; falls on half a cosine
+    final_learning_rate: NonNegativeFloat = 1.0e-5  # Learning rate at the end
     vf_coef: NonNegativeFloat = 0.01  # Weight of the critic's loss; returns are of the order of ten
     max_grad_norm: PositiveFloat = 1.0  # Gradient clipping
 

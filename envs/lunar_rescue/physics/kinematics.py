@@ -22,7 +22,8 @@ END_FROM_TIP = 0.12  # m, the arm's end point lies this far behind the plate's t
 SHOULDER, ELBOW, WRIST, END, TIP = range(5)  # rows of ``ArmChain.points``
 
 # Levenberg-Marquardt steps of ``solve_arms``.
-ITERATIONS = 30
+ITERATIONS = 15
+SETTLED = 1.0e-3  # rad, smaller steps end the search
 DAMPING = 1e-2  # to begin with; less after a step that helped, more after one that did not
 WEIGHTS = np.array([5.0, 5.0, 5.0, 0.3, 0.3])  # of the end [1/m], the slope and the level across
 POSTURE = 0.01  # weight of the distance from the preferred joints [1/rad]
@@ -110,6 +111,8 @@ def solve_arms(
     residual, jacobian = linearise(q)
     for _ in range(ITERATIONS):
         trial = np.clip(q - _bounded_step(q, residual, jacobian, damping, lower, upper), lower, upper)
+        if np.abs(trial - q).max() < SETTLED:
+            break
         new_residual, new_jacobian = linearise(trial)
         better = (new_residual**2).sum(axis=1) <= (residual**2).sum(axis=1)
         q = np.where(better[:, None], trial, q)

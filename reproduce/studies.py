@@ -1,0 +1,89 @@
+"""Commands that measure, demonstrate and tune; ``reproduce.__main__`` adds all others."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from reproduce import console
+
+app = typer.Typer(
+    cls=console.Commands,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
+)
+
+
+@app.command()
+def bench(
+    part: Annotated[str, typer.Option(help="env, training, tests or all")] = "all",
+    json: console.JsonFile = None,
+) -> None:
+    """Measure speed, each figure against a peer in the same run."""
+    from reproduce.bench.speed import measure
+    from reproduce.storage.files import write_json
+
+    result = measure(part)
+    for name, value in result.items():
+        typer.echo(f"{name}: {value}")
+    if json:
+        write_json(json, result)
+
+
+@app.command()
+def solvable(
+    tests: console.Tests = 500,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+    variants: Annotated[int, typer.Option(min=1, help="most lifts or turns tried out for a scene")] = 40,
+    json: console.JsonFile = None,
+) -> None:
+    """Measure which scenes can be solved at all, by a planner that knows everything; writes results/solvability/."""
+    from reproduce.experiments.pool import first_scene
+    from reproduce.experiments.solvability import measure_solvability, print_solvability
+
+    seed = first_scene(split, first_seed, typer.echo)
+    print_solvability(measure_solvability(tests, seed, variants=variants, json=json), typer.echo)
+
+
+@app.command()
+def demonstrate(
+    scenes: Annotated[int, typer.Option(min=1, help="training scenes")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            parser=console.as_file, metavar="FILE", help="file to write; one with fewer scenes is gone on with"
+        ),
+    ],
+) -> None:
+    """Let the planner rescue training scenes, plain and under noise, as demonstrations."""
+    from reproduce.experiments.demonstrate import demonstrate as make
+
+    make(scenes, out, tell=typer.echo)
+
+
+@app.command()
+def convergence(
+    actors: Annotated[list[str], typer.Argument(help="run folders, methods that do not learn, and plans")],
+    tests: console.Tests = 400,
+    out: Annotated[Path | None, console.folder("folder to write; results/convergence without it")] = None,
+) -> None:
+    """Compare solver settings on validation scenes: success, overlaps, force balance and what a step costs."""
+    from reproduce.experiments.convergence import FOLDER, measure_convergence
+    from reproduce.experiments.pool import first_scene
+
+    measure_convergence(actors, tests, first_scene(None, None, typer.echo), folder=out or FOLDER)
+
+
+@app.command()
+def tune(
+    method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
+    steps: Annotated[int, typer.Option(min=1, help="environment steps of a trial")] = 300_000,
+    tests: Annotated[int, typer.Option(min=1, help="easy validation scenes after each")] = 100,
+) -> None:
+    """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
+    from reproduce.experiments.tuning import tune as run
+
+    run(method, steps, tests, tell=typer.echo)
