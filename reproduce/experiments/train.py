@@ -36,7 +36,7 @@ from reproduce.storage.records import differences, to_dict
 
 WHAT = "run folder"
 START = Progress(0, 0, 0.0)
-IMITATION_THREADS = 2  # no worker is busy then
+IMITATION_THREADS = 1  # a second thread gains little on networks of this size, and loses much where the core is busy
 THREADS = 1  # for networks of this size one thread is faster than two (measured), and workers need the other core
 
 

@@ -73,7 +73,7 @@ class PriorConfig:
 class ImitationConfig:
     """How many rescues a network imitates, how long and how fast, where demonstrations are a prior."""
 
-    scenes: PositiveInt = 2600  # Training scenes that the planner demonstrates
+    scenes: PositiveInt = 1800  # Training scenes that the planner demonstrates
     epochs: PositiveInt = 20  # Passes over all demonstrations
     episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
     learning_rate: PositiveFloat = 1.0e-3  # Learning rate at the beginning; falls on half a cosine
