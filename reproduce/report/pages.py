@@ -15,7 +15,7 @@ import pandas as pd
 
 from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, tasks
 from lunar_rescue.observation import SIZE, observation_table
-from lunar_rescue.physics import robot, simulation
+from lunar_rescue.physics import bullet, robot, simulation
 from lunar_rescue.physics.solver import SETTINGS
 from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes import rocks, scene, terrain
@@ -39,7 +39,7 @@ def _result(path: str) -> dict[str, Any] | None:
 
 def _joints() -> list[dict[str, Any]]:
     """Return each joint's name, angles [deg] at action 0, -1 and 1, and limits of torque [N m] and speed [rad/s]."""
-    with closing(simulation.Simulation()) as world:
+    with closing(bullet.BulletSimulation()) as world:
         arms = robot.Robot(world)
         low, high = (np.degrees(arms.joint_targets(np.full(11, sign))) for sign in (-1.0, 1.0))
         columns = (arms.names, np.degrees(arms.initial), low, high, arms.torque_limits, arms.speed_limits)
