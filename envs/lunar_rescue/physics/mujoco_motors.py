@@ -35,6 +35,7 @@ class Motors:
         """Find the places of the driven joints; to be done again when others are driven."""
         joints = list(self.targets)
         self._joints = joints
+        self.places = np.array(list(self.world.speeds.values()), np.int64)  # in qvel, of all joints that turn
         self._angles = np.array([self.world.angles[i] for i in joints], np.int64)
         self._speeds = np.array([self.world.speeds[i] for i in joints], np.int64)
         self._motors = np.array([self.world.motors[i] for i in joints], np.int64)

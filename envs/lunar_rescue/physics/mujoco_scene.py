@@ -116,7 +116,9 @@ def compile_world(contents: Contents, robot: Any) -> World:
 
 def _add_hull(spec: Any, hull: Hull) -> None:
     name = f"hull {len(spec.meshes)}"
-    spec.add_mesh(name=name, uservert=hull.corners.ravel().tolist(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX)
+    spec.add_mesh(
+        name=name, uservert=hull.corners.ravel().tolist(), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    )
     turned = [math.cos(hull.yaw / 2), 0.0, 0.0, math.sin(hull.yaw / 2)]
     geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=hull.position)
     geom.quat = turned
