@@ -27,6 +27,7 @@ from lunar_rescue.scenes.suit import Limbs, mass_properties
 from lunar_rescue.scenes.terrain import Terrain
 
 LEVEL = np.array([0.0, 0.0, 1.0])
+TOLERANCE = 1e-12  # of the solver; forces are then those that move a body to a hundredth of a newton
 IMPRATIO = 10.0  # how much stiffer contacts are against slipping than against sinking in
 
 
@@ -159,7 +160,7 @@ class MujocoBodies(NotCopied, Simulation):
             option = world.model.opt
             option.gravity = -LUNAR_GRAVITY * self._up
             option.integrator, option.cone = mujoco.mjtIntegrator.mjINT_DISCRETE, mujoco.mjtCone.mjCONE_ELLIPTIC
-            option.impratio = IMPRATIO
+            option.impratio, option.tolerance = IMPRATIO, TOLERANCE
             self._set_pace(self.pace)
             for index, angle in self._angles.items():
                 world.data.qpos[world.angles[index]] = angle

@@ -1,7 +1,7 @@
 """The second engine: the same worlds in MuJoCo, as a second opinion about contacts.
 
-With ``mujoco_bodies``, ``mujoco_scene`` and ``mujoco_motors``, of which it is made, the only code that calls MuJoCo. How it works, and why
-(measured, see ``docs/simulators.md``):
+With ``mujoco_bodies``, ``mujoco_scene`` and ``mujoco_motors``, of which it is made, the only code that calls MuJoCo.
+How it works, and why (measured, see ``docs/simulators.md``):
 
 - Integrator ``discrete``: as in Bullet, forces of motors and contacts are those at the end of a substep and are found
   together; with the others, stiff motors push against contacts that do not know of them.
