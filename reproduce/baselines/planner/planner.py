@@ -196,6 +196,11 @@ class PlannerPolicy(Policy):
             raise UserError("planner: needs the scene before it can act; call prepare(scene)")
         return self._plan
 
+    def plan_in(self, simulator: str) -> None:
+        """Try plans out in another simulator from now on."""
+        self._planner.close()
+        self._planner = RescuePlanner(simulator=simulator)
+
     def prepare(self, scene: Scene) -> None:
         """Plan for the episode that is about to begin."""
         self._plan, self._step = self._planner.plan(scene), 0
