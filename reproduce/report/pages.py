@@ -16,6 +16,7 @@ import pandas as pd
 from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, tasks
 from lunar_rescue.observation import SIZE, observation_table
 from lunar_rescue.physics import bullet, robot, simulation
+from lunar_rescue.physics.engines import SIMULATORS
 from lunar_rescue.physics.solver import SETTINGS
 from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes import rocks, scene, terrain
@@ -99,10 +100,18 @@ def _convergence() -> pd.DataFrame | None:
     return table.assign(actor=named)
 
 
+def _agreement() -> dict[str, Any]:
+    """Return how far the simulators agree, and what each makes of cases with a closed solution."""
+    path = RESULTS / "agreement" / "closed_solutions.csv"
+    cases = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    return {"agreement": _result("agreement/summary.json"), "cases": cases, "settings": SIMULATORS}
+
+
 #: Page and what computes the data of its template.
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
+    "docs/simulators.md": _agreement,
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }
 
