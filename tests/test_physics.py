@@ -170,26 +170,35 @@ def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
 
 
 @pytest.mark.process
-def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueEnv) -> None:
-    found = 0
+def test_a_lift_success_is_carried_by_both_arms_off_the_ground(
+    env: LunarRescueEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, touched, advance = 0, set[int](), env.simulation.advance
+
+    def advance_and_look(substeps: int) -> None:
+        advance(substeps)
+        rows = env.simulation.contact_forces(env.episode.astronaut.handle, env.robot.handle)
+        touched.update(link for _, link, _ in rows)
+
+    monkeypatch.setattr(env.simulation, "advance", advance_and_look)
     for seed in range(40):
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed, task="lift")})
         policy, start, done = ScriptedPolicy(), np.array([True]), False
         while not done:
             before = env.episode.body
+            touched.clear()
             observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
             start, done = np.array([False]), terminated or truncated
         if info["is_success"]:
             found += 1
             e, simulation = env.episode, env.simulation
             assert not simulation.touching_ground(e.astronaut.handle)
-            rows = simulation.contact_forces(e.astronaut.handle, env.robot.handle)
             links_of_arms = set().union(*env.robot.arm_links)
             weight = e.scene.mass * 1.62
             shares = e.forces @ e.scene.terrain.up() / weight  # means of the last step
             gained = (e.body.velocity - before.velocity) @ e.scene.terrain.up() / CONTROL_STEP
             assert min(shares) >= 0.15
-            if all(link in links_of_arms for _, link, _ in rows):  # the body may lean on the torso besides
+            if touched <= links_of_arms:  # the body may have leant on the torso besides
                 assert sum(shares) == pytest.approx(1.0 + gained / 1.62, abs=0.03)
             assert np.linalg.norm(e.body.velocity) < 0.1 and not any(
                 simulation.touching(e.astronaut.handle, rock) for rock in e.rocks

@@ -32,7 +32,7 @@ from reproduce.experiments.hand_calculation import Measured, carry, slide, tip
 SCENES = [TEST.start, TEST.start + 3, TEST.start + 5]
 #: By how much of a closed solution an engine may be off. PyBullet's torques jitter; what slides in MuJoCo is lifted a
 #: little by the contact model's convex form and hops, so that it meets a few per cent less friction.
-SLIDING, TIPPING = {"pybullet": 0.01, "mujoco": 0.05}, {"pybullet": 0.01, "mujoco": 0.03}
+SLIDING, TIPPING = {"pybullet": 0.01, "mujoco": 0.06}, {"pybullet": 0.01, "mujoco": 0.03}
 CARRYING = {"pybullet": 0.005, "mujoco": 0.001}
 
 

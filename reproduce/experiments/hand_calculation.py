@@ -97,14 +97,15 @@ def carry(env: LunarRescueEnv) -> Measured | None:
 
     In equilibrium it is the moment of all weights above the waist about its axis, however plates and body touch.
     """
-    episode, simulation, torques = env.episode, env.simulation, []
+    episode, simulation, torques, moving = env.episode, env.simulation, [], False
     simulation.advance_by(STEADY)
     for _ in range(round(READ / simulation.pace.substep)):
         simulation.advance(1)
         torques.append(env.robot.state().torques[WAIST])
+        body = episode.astronaut.state()
+        moving |= bool(np.linalg.norm(body.velocity) > STILL[0] or np.linalg.norm(body.spin) > STILL[1])
     body, robot, scene = episode.astronaut.state(), env.robot.state(), episode.scene
-    still = np.linalg.norm(body.velocity) < STILL[0] and np.linalg.norm(body.spin) < STILL[1]
-    if not still or any(_borne_otherwise(env)):
+    if moving or any(_borne_otherwise(env)):
         return None
     c, s = math.cos(scene.base_yaw), math.sin(scene.base_yaw)
     ahead, left, level = np.array([c, s, 0.0]), np.array([-s, c, 0.0]), np.array([0.0, 0.0, 1.0])

@@ -31,7 +31,7 @@ KINDS = {"box": mujoco.mjtGeom.mjGEOM_BOX, "capsule": mujoco.mjtGeom.mjGEOM_CAPS
 KINDS["sphere"] = mujoco.mjtGeom.mjGEOM_SPHERE
 #: How contacts yield: time constant [s] and damping ratio of a spring that is solved for the end of a substep, and its
 #: impedance when touched and when deep, 1 is rigid; see ``mujoco_engine``.
-SOLREF, SOLIMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
+SOLREF, SOLIMP = (0.005, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 
 
 class Hull(NamedTuple):
