@@ -49,6 +49,7 @@ def evaluate(
     first_seed: console.FirstSeed = None,
     ablation: Annotated[str | None, typer.Option(help="fixed_target or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
+    simulator: console.Simulator = "pybullet",
     json: console.JsonFile = None,
 ) -> None:
     """Test a policy: success with its interval, by task, posture and failure."""
@@ -56,7 +57,7 @@ def evaluate(
     from reproduce.experiments.pool import first_scene
 
     seed = first_scene(split, first_seed, typer.echo)
-    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation)
+    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation, simulator=simulator)
 
 
 @app.command("evaluate-reference")
@@ -100,13 +101,15 @@ def replay(
     task: console.Task = None,
     overlay: Annotated[bool, typer.Option(help="draw targets, sub-goals, mark points and distances")] = True,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of a picture in pixels, multiples of 16")] = "480x352",
+    simulator: console.Simulator = "pybullet",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
     from reproduce.report.acting import ending
     from reproduce.report.film import parse_size
     from reproduce.report.film import replay as show
 
-    row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=parse_size(size))
+    pixels = parse_size(size)
+    row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=pixels, simulator=simulator)
     typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
 
 

@@ -30,6 +30,13 @@ def as_file(text: str) -> Path:
     return path
 
 
+def as_simulator(text: str) -> str:
+    """Read the name of a simulator, and refuse one that is not there before the work begins."""
+    from reproduce.experiments.pool import known_simulator
+
+    return known_simulator(text)
+
+
 def folder(words: str) -> Any:
     """Return an option that takes the path of a folder; ``words`` are its help."""
     return typer.Option(parser=as_path, metavar="DIR", help=words)
@@ -44,6 +51,7 @@ FirstSeed = Annotated[int | None, typer.Option(min=0, help="seed of the first sc
 SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
 Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
 Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]
+Simulator = Annotated[str, typer.Option(parser=as_simulator, metavar="NAME", help="pybullet or mujoco")]
 Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
 JsonFile = Annotated[Path | None, typer.Option("--json", parser=as_file, metavar="FILE", help="also write a file")]
 

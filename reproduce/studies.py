@@ -78,6 +78,20 @@ def convergence(
 
 
 @app.command()
+def agreement(
+    tests: console.Tests = 100,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+    out: Annotated[Path | None, console.folder("folder to write; results/agreement without it")] = None,
+) -> None:
+    """Replay the planner's plans in PyBullet and MuJoCo, and hold both against closed solutions."""
+    from reproduce.experiments.agreement import FOLDER, measure_agreement
+    from reproduce.experiments.pool import first_scene
+
+    measure_agreement(tests, first_scene(split, first_seed, typer.echo), folder=out or FOLDER, tell=typer.echo)
+
+
+@app.command()
 def tune(
     method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
     steps: Annotated[int, typer.Option(min=1, help="environment steps of a trial")] = 300_000,

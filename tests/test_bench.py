@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,8 @@ def test_the_environment_part_measures_and_is_flat(monkeypatch: pytest.MonkeyPat
     assert 0 < found["share_in_physics"] < 1
     assert found["env_steps_per_s_1_with_resets"] < found["env_steps_per_s_1"]
     assert found["scenes_smooth"] >= 2
+    if find_spec("mujoco"):
+        assert found["env_steps_per_s_mujoco_1"] > 0 and len(found["mujoco_over_pybullet_rounds"]) == 2
     origin = found.pop("origin")
     assert not any(isinstance(value, dict) for value in found.values())
     json.dumps({**found, "origin": origin}, allow_nan=False)

@@ -266,9 +266,9 @@ def test_nothing_that_holds_a_world_is_copied(copied: Callable[[Any], Any], of: 
         "episode": env.episode,
         "studio": Studio(1) if of == "studio" else None,
     }[of]
-    with pytest.raises(TypeError, match="PyBullet world, which cannot be copied or pickled"):
+    with pytest.raises(TypeError, match="simulated world, which cannot be copied or pickled"):
         copied(holder)
-    with pytest.raises(TypeError, match="PyBullet world"):
+    with pytest.raises(TypeError, match="simulated world"):
         copy.copy(env)
     env.reset_flat(seed=0)
     assert np.array_equal(env.step_flat(np.zeros(11))[0], before)

@@ -1,4 +1,4 @@
-"""The physics is real: gravity, weight, limits, and rescues by contact and friction alone."""
+"""The physics is real, in either simulator: gravity, weight, limits, and rescues by contact and friction alone."""
 
 from __future__ import annotations
 
@@ -6,19 +6,17 @@ import ast
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pybullet as pb
 import pytest
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
-from lunar_rescue.physics.bodies import RigidBody
+from lunar_rescue.physics.engines import SIMULATORS, make_simulation
 from lunar_rescue.physics.kinematics import END, SHOULDER, ArmChain
 from lunar_rescue.physics.robot import ARMS, WAIST
-from lunar_rescue.physics.simulation import LUNAR_GRAVITY, Simulation
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY, RigidBody, Simulation
 from lunar_rescue.physics.solver import CONTROL_STEP, SolverSettings
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.scene import FRICTION_RANGE, MASS_RANGE
@@ -30,9 +28,22 @@ from reproduce.baselines.scripted import ScriptedPolicy
 PACKAGE = Path(lunar_rescue.__file__).parent
 
 
+@pytest.fixture(scope="module", params=list(SIMULATORS))
+def simulator(request: Any) -> str:
+    pytest.importorskip(request.param)
+    return str(request.param)
+
+
 @pytest.fixture
-def simulation() -> Iterator[Simulation]:
-    made = Simulation()
+def simulation(simulator: str) -> Iterator[Simulation]:
+    made = make_simulation(simulator)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def env(simulator: str) -> Iterator[LunarRescueEnv]:
+    made = LunarRescueEnv(simulator=simulator)
     yield made
     made.close()
 
@@ -85,9 +96,8 @@ def _ground(scene: Scene, slope: float, downhill: float) -> Terrain:
 
 @pytest.mark.parametrize("friction", FRICTION_RANGE)
 @pytest.mark.parametrize("name", list(all_postures()))
-def test_every_posture_rests_where_it_is_put(name: str, friction: float) -> None:
+def test_every_posture_rests_where_it_is_put(env: LunarRescueEnv, name: str, friction: float) -> None:
     """At both ends of mass and friction, on level ground and on the steepest slope, whichever way it falls."""
-    env = LunarRescueEnv()
     drawn = replace(sample_scene(1, posture=name), rocks=(), friction=friction)
     grounds = [SMOOTH] + [_ground(drawn, MAX_SLOPE, downhill) for downhill in np.arange(4) * np.pi / 2 + 0.3]
     for mass in MASS_RANGE:
@@ -99,7 +109,6 @@ def test_every_posture_rests_where_it_is_put(name: str, friction: float) -> None
             turned = np.degrees(np.arccos(np.clip((np.trace(start.rotation.T @ state.rotation) - 1) / 2, -1, 1)))
             assert np.linalg.norm(state.centre - start.centre) < 0.01, terrain
             assert turned < 2.0, terrain
-    env.close()
 
 
 def test_no_mound_reaches_under_a_resting_body(env: LunarRescueEnv) -> None:
@@ -125,7 +134,7 @@ def test_relief_is_as_high_as_the_data_say(env: LunarRescueEnv) -> None:
         handle, hit = env.simulation.first_hit(np.array([x, y, 3.0]), np.array([x, y, -1.0]))
         if handle in handles:
             found += handle == env.simulation.relief
-            assert hit[2] == pytest.approx(float(scene.terrain.height(x, y)), abs=0.008)
+            assert hit[2] == pytest.approx(float(scene.terrain.height(x, y)), abs=0.009)
     assert found > 300
 
 
@@ -161,26 +170,35 @@ def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
 
 
 @pytest.mark.process
-def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueEnv) -> None:
-    found = 0
+def test_a_lift_success_is_carried_by_both_arms_off_the_ground(
+    env: LunarRescueEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, touched, advance = 0, set[int](), env.simulation.advance
+
+    def advance_and_look(substeps: int) -> None:
+        advance(substeps)
+        rows = env.simulation.contact_forces(env.episode.astronaut.handle, env.robot.handle)
+        touched.update(link for _, link, _ in rows)
+
+    monkeypatch.setattr(env.simulation, "advance", advance_and_look)
     for seed in range(40):
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed, task="lift")})
         policy, start, done = ScriptedPolicy(), np.array([True]), False
         while not done:
             before = env.episode.body
+            touched.clear()
             observation, _, terminated, truncated, info = env.step_flat(policy.act(observation[None], start)[0])
             start, done = np.array([False]), terminated or truncated
         if info["is_success"]:
             found += 1
             e, simulation = env.episode, env.simulation
             assert not simulation.touching_ground(e.astronaut.handle)
-            rows = simulation.contact_forces(e.astronaut.handle, env.robot.handle)
             links_of_arms = set().union(*env.robot.arm_links)
             weight = e.scene.mass * 1.62
             shares = e.forces @ e.scene.terrain.up() / weight  # means of the last step
             gained = (e.body.velocity - before.velocity) @ e.scene.terrain.up() / CONTROL_STEP
             assert min(shares) >= 0.15
-            if all(link in links_of_arms for _, link, _ in rows):  # the body may lean on the torso besides
+            if touched <= links_of_arms:  # the body may have leant on the torso besides
                 assert sum(shares) == pytest.approx(1.0 + gained / 1.62, abs=0.03)
             assert np.linalg.norm(e.body.velocity) < 0.1 and not any(
                 simulation.touching(e.astronaut.handle, rock) for rock in e.rocks
@@ -191,15 +209,18 @@ def test_a_lift_success_is_carried_by_both_arms_off_the_ground(env: LunarRescueE
 
 
 def test_nothing_constrains_or_teleports_the_astronaut() -> None:
-    """Few modules call PyBullet, none makes a constraint, and bodies are placed at reset only."""
-    callers = {"client.py", "bodies.py", "simulation.py", "stage.py", "window.py"}
+    """Few modules call a simulator, none makes a constraint, and bodies are placed at reset only."""
+    callers = {"client.py", "bodies.py", "bullet.py", "stage.py", "window.py"}
+    holds = {"createConstraint", "applyExternalForce", "applyExternalTorque"}
+    holds |= {"add_equality", "add_tendon", "add_pair", "xfrc_applied", "qfrc_applied", "mj_applyFT"}
     for path in PACKAGE.rglob("*.py"):
         tree = ast.parse(path.read_text())
         names = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-        assert not names & {"createConstraint", "applyExternalForce", "applyExternalTorque"}, path
+        assert not names & holds, path
         imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
         imported |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         assert path.name == "client.py" or not any("pybullet" in name for name in imported), path
+        assert path.name.startswith("mujoco_") or "mujoco" not in imported, path
         used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         assert path.name in callers or "pb" not in used, path
     env_source = ast.parse((PACKAGE / "env.py").read_text())
@@ -224,29 +245,12 @@ def test_astronaut_obeys_momentum_while_stepping(env: LunarRescueEnv) -> None:
                 break
 
 
-def _energy(simulation: Simulation, body: int, up: NDArray[np.float64]) -> float:
-    """Kinetic and potential energy of a body with all its links [J], asked of PyBullet itself."""
-    client, total = simulation.client, 0.0
-    for link in range(-1, pb.getNumJoints(body, physicsClientId=client)):
-        mass, _, inertia, *_ = pb.getDynamicsInfo(body, link, physicsClientId=client)
-        if mass == 0.0:
-            continue
-        if link < 0:
-            position, turned = pb.getBasePositionAndOrientation(body, physicsClientId=client)
-            velocity, spin = pb.getBaseVelocity(body, physicsClientId=client)
-        else:
-            row = pb.getLinkState(body, link, 1, 1, physicsClientId=client)
-            position, turned, velocity, spin = row[0], row[1], row[6], row[7]
-        own = Rotation.from_quat(turned).inv().apply(spin)
-        moving = mass * np.dot(velocity, velocity) + np.dot(np.array(inertia) * own, own)
-        total += 0.5 * moving + mass * LUNAR_GRAVITY * float(up @ np.array(position))
-    return float(total)
-
-
 @pytest.mark.parametrize("slope", [0.0, MAX_SLOPE])
 @pytest.mark.parametrize("friction", FRICTION_RANGE)
 @pytest.mark.parametrize("mass", MASS_RANGE)
-def test_with_motors_off_nothing_gains_energy(env: LunarRescueEnv, mass: float, friction: float, slope: float) -> None:
+def test_with_motors_off_nothing_gains_energy(
+    env: LunarRescueEnv, simulator: str, mass: float, friction: float, slope: float
+) -> None:
     """The whole of robot and astronaut, heights against gravity; the arms fall, and may knock the body."""
     scene = replace(sample_scene(4), rocks=(), mass=mass, friction=friction)
     scene = replace(scene, terrain=_ground(scene, slope, 2.0) if slope else SMOOTH)
@@ -254,14 +258,15 @@ def test_with_motors_off_nothing_gains_energy(env: LunarRescueEnv, mass: float, 
     env.robot.switch_off()
     up, energies = scene.terrain.up(), []
     for _ in range(300):
-        handles = env.robot.handle, env.episode.astronaut.handle
-        energies.append(sum(_energy(env.simulation, handle, up) for handle in handles))
+        energies.append(env.simulation.energy([env.robot.handle, env.episode.astronaut.handle], up))
         env.simulation.advance_by(0.04)
     given = energies[0] - min(energies)
     assert given > 20.0  # J: the arms did fall
-    # A contact that was a little too deep gives back less than a hundredth of that.
+    # A contact that was a little too deep gives back less than a hundredth of that; MuJoCo's are springs, of which one
+    # may be loaded just when energy is read.
     rises = np.diff(energies)
-    assert rises.max() < 0.01 * given
+    assert rises.max() < (0.02 if simulator == "mujoco" else 0.01) * given
+    assert np.sum(rises > 0.01 * given) <= 1
     assert np.maximum.accumulate(energies)[-1] - energies[0] < 0.01 * given
     assert abs(energies[-1] - energies[-25]) < 0.01 * given  # and all comes to rest
 
@@ -281,18 +286,18 @@ def test_contact_forces_are_those_that_move_the_body(env: LunarRescueEnv) -> Non
     simulation, weight = env.simulation, -scene.mass * 1.62 * scene.terrain.up()
     while not done:
         handle = env.episode.astronaut.handle
-        before = np.array(pb.getBaseVelocity(handle, physicsClientId=simulation.client)[0])
+        before = env.episode.astronaut.state().velocity
         simulation.advance(1)
-        after = np.array(pb.getBaseVelocity(handle, physicsClientId=simulation.client)[0])
+        after = env.episode.astronaut.state().velocity
         others = [env.robot.handle, simulation.ground, *env.episode.rocks]
         others += [] if simulation.relief is None else [simulation.relief]
         forces = [f for other in others for *_, f in simulation.contact_forces(handle, other)]
         touched += bool(simulation.contact_forces(handle, env.robot.handle))
         moved = scene.mass * (after - before) / simulation.pace.substep
-        assert moved == pytest.approx(np.sum(forces, axis=0) + weight, abs=0.01)  # N
+        assert moved == pytest.approx(np.sum(forces, axis=0) + weight, abs=0.02)  # N
         observation, _, terminated, truncated, _ = env.step_flat(policy.act(observation[None], start)[0])
         start, done = np.array([False]), terminated or truncated
-    assert touched > 10
+    assert touched > 5
 
 
 @pytest.mark.parametrize("substep", [0.015, 0.03, 0.0, -0.01, float("nan")])
@@ -301,10 +306,10 @@ def test_substeps_that_do_not_fill_a_control_step_are_refused(substep: float) ->
         SolverSettings(substep=substep)
 
 
-def test_a_finer_solver_moves_robot_and_body_alike() -> None:
+def test_a_finer_solver_moves_robot_and_body_alike(simulator: str) -> None:
     scene, ends = sample_scene(5), []
-    for settings in (SolverSettings(), SolverSettings(substep=0.005, iterations=100, free_iterations=100)):
-        env = LunarRescueEnv(solver=settings)
+    for settings in (SIMULATORS[simulator], SolverSettings(substep=0.0025, iterations=100, free_iterations=100)):
+        env = LunarRescueEnv(solver=settings, simulator=simulator)
         env.reset_flat(options={"scene": scene})
         for _ in range(10):
             env.step_flat(np.full(11, 0.3))

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunar_rescue import LunarRescueEnv, postures, sample_scene
-from lunar_rescue.physics import bodies, client, simulation
+from lunar_rescue.physics import bodies, bullet, client
 from lunar_rescue.pictures import stage
 from lunar_rescue.pictures.camera import Camera, scene_camera
 from lunar_rescue.pictures.overlay import caption, draw_overlay, near_colour, nearest_links, subgoals_in_scene
@@ -74,7 +74,7 @@ def test_the_stage_never_steps_and_the_simulation_never_looks() -> None:
         return {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
 
     assert "stepSimulation" not in used(stage, client)
-    assert not used(simulation, bodies, client) & {"getCameraImage", "changeVisualShape", "addUserDebugLine"}
+    assert not used(bullet, bodies, client) & {"getCameraImage", "changeVisualShape", "addUserDebugLine"}
 
 
 def test_a_picture_is_the_same_again(env: LunarRescueEnv, studio: Studio) -> None:

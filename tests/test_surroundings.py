@@ -62,11 +62,11 @@ def test_limits_that_were_read_wrong_are_refused_by_name() -> None:
     code = """
 import contextlib, numpy as np
 from lunar_rescue.physics import robot
-from lunar_rescue.physics.simulation import Simulation
-table = Simulation.joint_table
-Simulation.joint_table = lambda *a: [(*r[:3], float(int(r[3])), *r[4:]) for r in table(*a)]
+from lunar_rescue.physics.bullet import BulletSimulation
+table = BulletSimulation.joint_table
+BulletSimulation.joint_table = lambda *a: [(*r[:3], float(int(r[3])), *r[4:]) for r in table(*a)]
 try:
-    robot.Robot(Simulation())
+    robot.Robot(BulletSimulation())
 except RuntimeError as error:
     print(error)
 """

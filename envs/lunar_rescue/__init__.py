@@ -11,17 +11,20 @@ from lunar_rescue.scenes.sampling import sample_scene
 from lunar_rescue.scenes.scene import TASKS, Scene
 from lunar_rescue.tasks import MAX_STEPS
 
-ENV_ID = "LunarRescue-v0"
-gymnasium.register(
-    id=ENV_ID,
-    entry_point="lunar_rescue.env:LunarRescueEnv",
-    max_episode_steps=MAX_STEPS,
-    additional_wrappers=(WrapperSpec("StepLimit", "lunar_rescue.env:StepLimit", {}),),
-)
+ENV_ID, MUJOCO_ENV_ID = "LunarRescue-v0", "LunarRescueMujoco-v0"
+for env_id, simulator in ((ENV_ID, "pybullet"), (MUJOCO_ENV_ID, "mujoco")):
+    gymnasium.register(
+        id=env_id,
+        entry_point="lunar_rescue.env:LunarRescueEnv",
+        max_episode_steps=MAX_STEPS,
+        kwargs={"simulator": simulator},
+        additional_wrappers=(WrapperSpec("StepLimit", "lunar_rescue.env:StepLimit", {}),),
+    )
 
 __all__ = [
     "ENVIRONMENT_VERSION",
     "ENV_ID",
+    "MUJOCO_ENV_ID",
     "TASKS",
     "LunarRescueEnv",
     "RewardWeights",

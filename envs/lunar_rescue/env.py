@@ -14,9 +14,9 @@ from lunar_rescue.contacts import body_contacts, both_arms_under, hold, mark_dis
 from lunar_rescue.episode import Episode, begin_episode
 from lunar_rescue.observation import as_dict, observation_space
 from lunar_rescue.physics.client import NotCopied
+from lunar_rescue.physics.engines import DEFAULT, make_simulation
 from lunar_rescue.physics.robot import JOINTS, Robot
-from lunar_rescue.physics.simulation import Simulation
-from lunar_rescue.physics.solver import SETTINGS, SolverSettings
+from lunar_rescue.physics.solver import SolverSettings
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.sampling import sample_scene
 from lunar_rescue.scenes.scene import Scene
@@ -52,7 +52,8 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         weights: RewardWeights | None = None,
         obstacle_reward: str = "aapf",
         max_steps: int = MAX_STEPS,
-        solver: SolverSettings = SETTINGS,
+        solver: SolverSettings | None = None,
+        simulator: str = DEFAULT,
     ) -> None:
         """Connect to the simulator.
 
@@ -61,7 +62,8 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
             weights: Weights of the reward's terms.
             obstacle_reward: ``"aapf"`` (Eq. 2) or ``"contact"`` (the ablation of section 4.3).
             max_steps: phi_max, step limit of an episode.
-            solver: How finely the simulator works; other settings are for convergence studies.
+            solver: How finely the simulator works, if not as usual; other settings are for convergence studies.
+            simulator: ``"pybullet"`` or ``"mujoco"``.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
@@ -73,7 +75,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         self.set_max_steps(max_steps)
         self.observation_space: spaces.Space[Any] = observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
-        self.simulation = Simulation(solver)
+        self.simulation = make_simulation(simulator, solver)
         self.robot = Robot(self.simulation)
         self._closed = False
         self._episode: Episode | None = None

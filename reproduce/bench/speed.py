@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from statistics import fmean, median
 from typing import Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, sample_scene
+from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.physics.quiet import no_greeting
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.tasks import MAX_STEPS
@@ -43,6 +45,7 @@ LOOKED_AT = 64  # scenes drawn to see which kinds of ground there are
 HOLD = 10  # steps for which a random action is held, so that the arms get somewhere
 TESTS = 1000
 PEER = "PandaReach-v3"
+SECOND = "mujoco"  # the other simulator, where it is installed
 #: Steps a second of one process of the peer, as handed down with this project's requirements; no publication found.
 PEER_PUBLISHED = [330, 530]
 #: What keys of a kind of ground end with; smooth ground has the plain names.
@@ -89,10 +92,13 @@ def measure_environments(rounds: int, steps: int) -> dict[str, Any]:
     rng, tallies, everywhere = np.random.default_rng(0), [], []
     with ExitStack() as stack:
         ours, peer = our_episodes(stack), peer_episodes(stack)
+        second = our_episodes(stack, SECOND) if find_spec(SECOND) else None
         venv = stack.enter_context(closing(WorkerVecEnv(ALL_ENVS, seed=0)))
         venv.reset()
         for _ in range(rounds + 1):
             tallies.append(run_round(ours, peer, kinds, steps))
+            if second:
+                tallies[-1][SECOND] = run_second(second, steps)
             everywhere.append(_all_environments(venv, rng))
     rate = round(median(everywhere[1:]), 1)
     return {**environment_figures(tallies[1:]), "env_steps_per_s_all": rate, "rounds": rounds}
@@ -111,6 +117,14 @@ def run_round(ours: Episodes, peer: Episodes | None, kinds: Iterable[str], steps
         while peer and peers.steps < max(tally.steps for tally in tallies.values()):
             peer.next(lambda info: peers)
     return {**tallies, PEER: peers} if peer else tallies
+
+
+def run_second(episodes: Episodes, steps: int) -> Tally:
+    """Run whole episodes on smooth ground in the second simulator, as many steps as in the first."""
+    tally = Tally()
+    while tally.steps < steps:
+        episodes.next(lambda info: tally if info["scene"].terrain.kind == "smooth" else None)
+    return tally
 
 
 class Episodes:
@@ -145,9 +159,9 @@ class Episodes:
         tally.steps, tally.inside = tally.steps + number, tally.inside + self.inside
 
 
-def our_episodes(stack: ExitStack) -> Episodes:
+def our_episodes(stack: ExitStack, simulator: str = DEFAULT) -> Episodes:
     """Return episodes of consecutive seeds with everything on; ``stack`` closes the environment."""
-    env = stack.enter_context(closing(LunarRescueEnv()))
+    env = stack.enter_context(closing(LunarRescueEnv(simulator=simulator)))
     seeds, rng, advance = itertools.count(FIRST_SEED), np.random.default_rng(0), env.simulation.advance
 
     def advance_and_time(substeps: int) -> None:
@@ -198,6 +212,9 @@ def environment_figures(rounds: list[Round]) -> dict[str, Any]:
             figures[f"share_in_physics{ending}"] = round(median(t.inside / t.stepping for t in tallies), 3)
             figures[f"scenes{ending or '_smooth'}"] = sum(t.resets for t in tallies)
     figures |= _ratios("rough_over_smooth", rounds, "rough", "smooth")
+    if seconds := [tallies[SECOND] for tallies in rounds if SECOND in tallies]:
+        figures[f"env_steps_per_s_{SECOND}_1"] = round(median(t.rate for t in seconds), 1)
+        figures |= _ratios(f"{SECOND}_over_pybullet", rounds, SECOND, "smooth")
     peers = [tallies[PEER] for tallies in rounds if PEER in tallies]
     if not peers:
         return {**figures, "peer_published_steps_per_s": PEER_PUBLISHED}

@@ -14,9 +14,10 @@ import numpy as np
 import torch as th
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.scenes.postures import all_postures
 from reproduce.experiments.methods import METHODS, Method, load_policy
-from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.experiments.pool import known_simulator, map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
 from reproduce.hrl_dcs.ablation import ablated
 from reproduce.learning.policy import Policy
@@ -84,10 +85,17 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
     }
 
 
-def _prepare(where: str, ablation: str | None) -> None:
+def put_into(simulator: str, policy: Policy) -> LunarRescueEnv:
+    """Return an environment in a simulator; a policy that tries out what it plans does so in that simulator, too."""
+    if hasattr(policy, "plan_in"):
+        policy.plan_in(simulator)
+    return LunarRescueEnv(simulator=known_simulator(simulator))
+
+
+def _prepare(where: str, ablation: str | None, simulator: str) -> None:
     th.set_num_threads(1)
-    _STATE["env"] = LunarRescueEnv()
     _STATE["policy"] = find_policy(where, ablation)[1]
+    _STATE["env"] = put_into(simulator, _STATE["policy"])
 
 
 def _test(seed: int, easy: bool) -> dict[str, Any]:
@@ -104,15 +112,17 @@ def rescue_scenes(
     quiet: bool = False,
     ablation: str | None = None,
     easy: bool = False,
+    simulator: str = DEFAULT,
 ) -> list[dict[str, Any]]:
     """Test a policy and return one row a scene, in the order of seeds.
 
     Raises:
-        UserError: On numbers out of range or a run folder that does not load.
+        UserError: On numbers out of range, a run folder that does not load or a simulator that is not there.
     """
     seeds = scene_seeds(tests, first_seed)
+    known_simulator(simulator)
     find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
-    job, arguments = partial(_test, easy=easy), (str(where), ablation)
+    job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator)
     return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
 
 
@@ -125,6 +135,7 @@ def evaluate(
     easy: bool = False,
     json: Path | None = None,
     tell: Callable[[dict[str, Any]], object] | None = None,
+    simulator: str = DEFAULT,
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
@@ -137,9 +148,11 @@ def evaluate(
         if path:
             check_writable(path)
     begun = time.monotonic()
-    rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy))
+    tested = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, simulator=simulator)
+    rows = as_table(tested)
     seconds = time.monotonic() - begun
     conditions = {"ablation": ablation, "scenes": "easy" if easy else None}
+    conditions["simulator"] = None if simulator == DEFAULT else simulator
     summary = {
         "method": find_policy(where)[0].name,
         **{name: condition for name, condition in conditions.items() if condition},

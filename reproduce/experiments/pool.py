@@ -3,8 +3,10 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from gymnasium.error import DependencyNotInstalled
 from tqdm.auto import tqdm
 
+from lunar_rescue.physics.engines import check_simulator
 from lunar_rescue.scenes.splits import FINAL, SPLITS, split_of
 from reproduce.storage.errors import UserError
 from reproduce.storage.processes import map_in_processes
@@ -48,6 +50,19 @@ def first_scene(split: str | None, first_seed: int | None, tell: Callable[[str],
     if split_of(seed) in FINAL:
         tell(f"{split_of(seed)}: for final figures; whatever is still tried is judged on validation scenes")
     return seed
+
+
+def known_simulator(name: str) -> str:
+    """Return the name of a simulator that can be used here.
+
+    Raises:
+        UserError: On one that does not exist, or whose package is not installed.
+    """
+    try:
+        check_simulator(name)
+    except (ValueError, DependencyNotInstalled) as error:
+        raise UserError(str(error)) from None
+    return name
 
 
 def map_scenes(

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lunar_rescue import LunarRescueEnv
+from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.pictures.camera import SIZE, scene_camera
 from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
+from reproduce.experiments.evaluate import put_into
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
 from reproduce.report.viewer import record, write_replay
 from reproduce.storage.errors import UserError
@@ -41,6 +42,7 @@ def replay(
     *,
     overlay: bool = True,
     size: tuple[int, int] = SIZE,
+    simulator: str = DEFAULT,
 ) -> dict[str, Any]:
     """Write one rescue to a file whose ending says the format; return how it ended.
 
@@ -51,10 +53,10 @@ def replay(
         raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")
     check_writable(out)
     if kind == ".html":
-        recording = record(where, seed, posture, task)
+        recording = record(where, seed, posture, task, simulator)
         write_replay(recording, out)
         return recording.row
-    frames, row = film(where, seed, posture, task, overlay=overlay, size=size)
+    frames, row = film(where, seed, posture, task, overlay=overlay, size=size, simulator=simulator)
     write_atomically(out, partial(_write, kind=kind, frames=frames))
     return row
 
@@ -67,16 +69,18 @@ def film(
     *,
     overlay: bool = True,
     size: tuple[int, int] = SIZE,
+    simulator: str = DEFAULT,
 ) -> tuple[list[Picture], dict[str, Any]]:
     """Act one rescue out; return its pictures, one a step and one of the end, and how it ended.
 
     The first four arguments are those of ``acting.load_policy_and_scene``; ``overlay`` draws targets, sub-goals, mark
-    points, distances and a caption; ``size`` is width and height [px], for films multiples of 16.
+    points, distances and a caption; ``size`` is width and height [px], for films multiples of 16; ``simulator`` is
+    where it happens, pictures are PyBullet's.
     """
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     camera = scene_camera(scene, size)
     frames: list[Picture] = []
-    with closing(LunarRescueEnv()) as env, closing(Studio()) as studio:
+    with closing(put_into(simulator, policy)) as env, closing(Studio()) as studio:
 
         def take(subgoals: NDArray[Any] | None, note: str) -> None:
             picture = studio.picture(env.episode, camera)

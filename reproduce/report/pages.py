@@ -15,7 +15,8 @@ import pandas as pd
 
 from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, tasks
 from lunar_rescue.observation import SIZE, observation_table
-from lunar_rescue.physics import robot, simulation
+from lunar_rescue.physics import bullet, robot, simulation
+from lunar_rescue.physics.engines import SIMULATORS
 from lunar_rescue.physics.solver import SETTINGS
 from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes import rocks, scene, terrain
@@ -39,7 +40,7 @@ def _result(path: str) -> dict[str, Any] | None:
 
 def _joints() -> list[dict[str, Any]]:
     """Return each joint's name, angles [deg] at action 0, -1 and 1, and limits of torque [N m] and speed [rad/s]."""
-    with closing(simulation.Simulation()) as world:
+    with closing(bullet.BulletSimulation()) as world:
         arms = robot.Robot(world)
         low, high = (np.degrees(arms.joint_targets(np.full(11, sign))) for sign in (-1.0, 1.0))
         columns = (arms.names, np.degrees(arms.initial), low, high, arms.torque_limits, arms.speed_limits)
@@ -99,10 +100,18 @@ def _convergence() -> pd.DataFrame | None:
     return table.assign(actor=named)
 
 
+def _agreement() -> dict[str, Any]:
+    """Return how far the simulators agree, and what each makes of cases with a closed solution."""
+    path = RESULTS / "agreement" / "closed_solutions.csv"
+    cases = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    return {"agreement": _result("agreement/summary.json"), "cases": cases, "settings": SIMULATORS}
+
+
 #: Page and what computes the data of its template.
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
+    "docs/simulators.md": _agreement,
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }
 

@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import torch as th
 
-from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue import Scene, sample_scene
+from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.physics.robot import CONTROL_STEP
 from lunar_rescue.pictures.stage import VisualShape
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.runs import Run
+from reproduce.experiments.evaluate import put_into
 from reproduce.experiments.methods import METHODS
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, ending, load_policy_and_scene
 from reproduce.report.actors import Actors, Moment, Spectator
@@ -45,11 +47,13 @@ class Recording:
     row: dict[str, Any]  # how it ended, as from ``run_episode``
 
 
-def record(where: str | Path, seed: int, posture: str | None = None, task: str | None = None) -> Recording:
+def record(
+    where: str | Path, seed: int, posture: str | None = None, task: str | None = None, simulator: str = DEFAULT
+) -> Recording:
     """Act one rescue out and note where everything is; see ``acting.load_policy_and_scene``."""
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     moments: list[Moment] = []
-    with closing(LunarRescueEnv()) as env, closing(Spectator()) as spectator:
+    with closing(put_into(simulator, policy)) as env, closing(Spectator()) as spectator:
         row = act_out(env, policy, scene, lambda *what: moments.append(spectator.look(env.episode, *what)[0]))
     return Recording(scene, spectator.robot, moments, row)
 

@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -19,15 +20,19 @@ from reproduce.storage.files import locked, read_json, write_atomically, write_j
 from reproduce.storage.paths import INSTALLED, ROOT
 
 PACKAGES = ("pybullet", "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "lunar-rescue")
+OPTIONAL = "mujoco"  # told where it is installed
 
 
 def provenance() -> dict[str, Any]:
     """Return command, commit, versions, machine and time as plain data."""
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    with suppress(importlib.metadata.PackageNotFoundError):
+        versions[OPTIONAL] = importlib.metadata.version(OPTIONAL)
     return {
         "command": command_line(),
         "commit": commit(),
         "environment_version": ENVIRONMENT_VERSION,
-        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "packages": versions,
         "python": platform.python_version(),
         "machine": {"system": platform.system(), "processor": _processor(), "cores": len(os.sched_getaffinity(0))},
         "date": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),

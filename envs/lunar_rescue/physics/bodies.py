@@ -7,26 +7,20 @@ hundred bytes behind in PyBullet, so the whole world is made anew every ``WORLD_
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue.arrays import Array
 from lunar_rescue.physics.client import MOUND_FILE, Client, pb
 from lunar_rescue.physics.quiet import decimal_points
+from lunar_rescue.physics.simulation import RigidBody
 from lunar_rescue.scenes.rocks import Rock
 from lunar_rescue.scenes.suit import Limbs, Part, mass_properties, suit_parts
 from lunar_rescue.scenes.terrain import Mound, Terrain, mounds
 
 WORLD_LIFE = 2048  # episodes
 KINDS = {"box": pb.GEOM_BOX, "capsule": pb.GEOM_CAPSULE, "sphere": pb.GEOM_SPHERE}
-
-
-class RigidBody(NamedTuple):
-    """A body that moves: handle and the frame that Bullet keeps (centre of gravity, principal axes)."""
-
-    handle: int
-    axes_inverse: Rotation
 
 
 class Bodies(Client):

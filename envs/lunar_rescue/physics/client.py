@@ -20,7 +20,7 @@ class NotCopied:
     def __reduce_ex__(self, protocol: Any) -> NoReturn:
         """Raise TypeError, which says what to do instead."""
         raise TypeError(
-            f"{type(self).__name__}: holds a PyBullet world, which cannot be copied or pickled; "
+            f"{type(self).__name__}: holds a simulated world, which cannot be copied or pickled; "
             "make another one, and reset it to the same scene"
         )
 

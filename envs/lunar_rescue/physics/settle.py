@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue.physics.simulation import Simulation
+from lunar_rescue.physics.bullet import BulletSimulation
 from lunar_rescue.scenes.postures import FILES, Posture, attitude_rotation, load_postures
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 
@@ -20,7 +20,7 @@ TYPICAL_MASS = 250.0  # kg
 
 def settle(posture: Posture) -> tuple[float, tuple[float, ...]]:
     """Drop a posture gently and return resting height [m] and quaternion with the head along +x."""
-    simulation = Simulation()
+    simulation = BulletSimulation()
     try:
         body = simulation.add_suit(posture.limbs, TYPICAL_MASS)
         rotation = attitude_rotation(posture.attitude)

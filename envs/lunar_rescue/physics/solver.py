@@ -67,3 +67,6 @@ class SolverSettings:
 
 #: What every episode of this version of the environment is simulated with.
 SETTINGS = SolverSettings()
+
+#: The same in MuJoCo, where it is one substep throughout and iterations only cap what takes two to six.
+MUJOCO_SETTINGS = SolverSettings(substep=0.005, iterations=50, free_substep=0.005, free_iterations=50)

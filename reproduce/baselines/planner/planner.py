@@ -3,14 +3,16 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene
+from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.physics.solver import SETTINGS, SolverSettings
+from lunar_rescue.physics.solver import SolverSettings
 from reproduce.baselines.planner.approach import ApproachPlanner, CollisionChecker, Way
 from reproduce.baselines.planner.rollout import Noise, Rollout, Trial
 from reproduce.baselines.scripted import VARIANTS as VARIANTS_FILE
@@ -49,13 +51,21 @@ class RescuePlanner:
     """Plan scenes one after the other; the same scene gets the same plan."""
 
     def __init__(
-        self, variants: int = VARIANTS, approaches: int = APPROACHES, solver: SolverSettings = SETTINGS
+        self,
+        variants: int = VARIANTS,
+        approaches: int = APPROACHES,
+        solver: SolverSettings | None = None,
+        simulator: str = DEFAULT,
     ) -> None:
-        """Set the caps, at least 1, on what is tried out; the two simulations are started with the first scene."""
+        """Set the caps, at least 1, on what is tried out; the two simulations are started with the first scene.
+
+        Plans are tried out in ``simulator``; ways are checked for collision in PyBullet, whichever that is.
+        """
         for name, value in (("variants", variants), ("approaches", approaches)):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise UserError(f"{name}: expected an integer >= 1, got {value!r}")
-        self._variants, self._approaches, self._solver = variants, approaches, solver
+        self._variants, self._approaches = variants, approaches
+        self._make_env = partial(LunarRescueEnv, solver=solver, simulator=simulator)
         self._simulations: tuple[LunarRescueEnv, CollisionChecker] | None = None
 
     def close(self) -> None:
@@ -98,7 +108,7 @@ class RescuePlanner:
 
     def _open(self) -> tuple[LunarRescueEnv, CollisionChecker]:
         if self._simulations is None:
-            self._simulations = LunarRescueEnv(solver=self._solver), CollisionChecker()
+            self._simulations = self._make_env(), CollisionChecker()
         return self._simulations
 
 
@@ -185,6 +195,11 @@ class PlannerPolicy(Policy):
         if self._plan is None:
             raise UserError("planner: needs the scene before it can act; call prepare(scene)")
         return self._plan
+
+    def plan_in(self, simulator: str) -> None:
+        """Try plans out in another simulator from now on."""
+        self._planner.close()
+        self._planner = RescuePlanner(simulator=simulator)
 
     def prepare(self, scene: Scene) -> None:
         """Plan for the episode that is about to begin."""
