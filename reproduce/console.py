@@ -5,7 +5,7 @@ import os
 import sys
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 import typer.core
@@ -35,15 +35,65 @@ def folder(words: str) -> Any:
     return typer.Option(parser=as_path, metavar="DIR", help=words)
 
 
-Preset = Annotated[str, typer.Option(help="smoke (CI), laptop (reference runs) or paper (the paper's numbers)")]
-Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted or random")]
+def trainable() -> list[str]:
+    """Return what a shell offers for a method to train."""
+    from reproduce.experiments.methods import METHODS
+
+    return [method.name for method in METHODS.values() if method.learns]
+
+
+def _presets() -> list[str]:
+    from reproduce.experiments.presets import PRESETS
+
+    return list(PRESETS)
+
+
+def _splits() -> list[str]:
+    from lunar_rescue.scenes.splits import SPLITS
+
+    return list(SPLITS)
+
+
+def _postures() -> list[str]:
+    from lunar_rescue.scenes.postures import all_postures
+
+    return list(all_postures())
+
+
+def check_scene(seed: int, posture: str | None, task: str | None) -> None:
+    """Refuse a posture or a task that is not there, or not together, before anything larger is imported."""
+    from lunar_rescue import sample_scene
+
+    sample_scene(seed, posture=posture, task=task)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from reproduce import __version__
+
+        typer.echo(f"lunar-rescue {__version__}")
+        raise typer.Exit
+
+
+Part = Literal["all", "env", "training", "tests"]
+Until = Literal["report", "tables", "policies"]
+WORDS = "smoke (CI), laptop (reference runs) or paper (the paper's numbers)"
+Version = Annotated[
+    bool, typer.Option("--version", is_eager=True, callback=_show_version, help="show the version and exit")
+]
+Preset = Annotated[str, typer.Option(help=WORDS, autocompletion=_presets)]
+Policy = Annotated[str, typer.Argument(metavar="DIR", help="run folder, or scripted, planner or random")]
 Tests = Annotated[int, typer.Option(min=1, help="number of scenes")]
 SPLIT = "validation (unless --first-seed says otherwise), validation-heldout, train, or for final figures test, heldout"
-Split = Annotated[str | None, typer.Option(help=SPLIT)]
+Split = Annotated[str | None, typer.Option(help=SPLIT, autocompletion=_splits)]
 FirstSeed = Annotated[int | None, typer.Option(min=0, help="seed of the first scene; the split's first one without it")]
 SceneSeed = Annotated[int, typer.Option(min=0, help="seed of the (first) scene")]
-Posture = Annotated[str | None, typer.Option(help="draw scenes with this posture")]
-Task = Annotated[str | None, typer.Option(help="draw scenes with this task")]
+Posture = Annotated[
+    str | None, typer.Option(help="draw scenes with this posture, such as left_side_stride", autocompletion=_postures)
+]
+Task = Annotated[
+    str | None, typer.Option(help="draw scenes with this task", autocompletion=lambda: ["lift", "turn_over"])
+]
 Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
 JsonFile = Annotated[Path | None, typer.Option("--json", parser=as_file, metavar="FILE", help="also write a file")]
 

@@ -1,5 +1,7 @@
 """lunar_rescue: the rescue of a fallen astronaut by a two-armed lunar robot, as a Gymnasium environment."""
 
+import importlib.metadata
+
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
@@ -11,6 +13,7 @@ from lunar_rescue.scenes.sampling import sample_scene
 from lunar_rescue.scenes.scene import TASKS, Scene
 from lunar_rescue.tasks import MAX_STEPS
 
+__version__ = importlib.metadata.version("lunar-rescue")
 ENV_ID = "LunarRescue-v0"
 gymnasium.register(
     id=ENV_ID,

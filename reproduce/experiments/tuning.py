@@ -18,7 +18,7 @@ from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
+from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, check_tunable, configuration
 from reproduce.experiments.train import train
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import locked
@@ -44,8 +44,7 @@ def tune(
     table is ``trials/tuning/METHOD.csv`` in ``results``, where no other tuning may be writing. After an interruption
     trials that ended are in it, and the same call makes the others.
     """
-    if method not in TRIALS:
-        raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
+    check_tunable(method)
     if steps < 1 or tests < 1:
         raise UserError(f"--steps, --tests: expected at least 1, got {steps} and {tests}")
     path = results / TUNING / f"{method}.csv"
