@@ -84,6 +84,40 @@ def test_an_installed_wheel_works_in_an_empty_folder(installed: Path, tmp_path: 
     assert sorted(installed.iterdir()) == before, "nothing is written beside the packages"
 
 
+def snippets(page: str) -> list[str]:
+    """Return the Python of a page, as it stands there."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def with_policy(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder in which the README's command has trained the policy that its snippets load."""
+    folder = tmp_path_factory.mktemp("snippets")
+    (command,) = set(
+        re.findall(r"`reproduce (train \S+ --preset smoke --out runs/first)`", (ROOT / "README.md").read_text())
+    )
+    run([sys.executable, str(installed / "bin" / "reproduce"), *command.split()], folder, PYTHONPATH=str(installed))
+    return folder
+
+
+@pytest.mark.process
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("page", ["README.md", "docs/library.md", "docs/learners.md"])
+def test_snippets_run_as_they_stand_in_an_empty_folder(page: str, installed: Path, with_policy: Path) -> None:
+    said = [run([sys.executable, "-c", text], with_policy, PYTHONPATH=str(installed)) for text in snippets(page)]
+    if page == "README.md":
+        assert re.fullmatch(r"[a-z_]+ (rescued|failed by [a-z_]+)\n", said[0])
+        assert len(said) == 2 and all(len(text.splitlines()) <= 12 for text in snippets(page))
+    if page == "docs/library.md":
+        assert re.fullmatch(r"(True|False) (None|[a-z_]+)\n", said[0])
+        assert re.fullmatch(r"(\d+ (lift|turn_over) \w+ (True|False) \w+ \d+\n){3}", said[1])
+        assert re.fullmatch(r"return -?[\d.]+, standard deviation [\d.]+\n", said[2])
+    if page != "docs/library.md":
+        with zipfile.ZipFile(with_policy / "ppo.zip") as model:
+            assert "policy.pth" in model.namelist()
+        assert all("set_num_threads(1)" in text for text in snippets(page) if "PPO" in text)
+
+
 def _imports(folder: Path) -> set[str]:
     """Return the top-level names that the modules of a folder import, inside functions too."""
     names: set[str] = set()

@@ -26,6 +26,7 @@ from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
 from reproduce.experiments.workflow.plan import REPORT, TABLES
+from reproduce.report.reference import reference
 from reproduce.report.rendering import template
 from reproduce.storage.files import read_json, write_text
 from reproduce.storage.paths import RESULTS, ROOT, notebook_files
@@ -103,6 +104,7 @@ def _convergence() -> pd.DataFrame | None:
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
+    "docs/api.md": lambda: {"parts": reference()},
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }
 
