@@ -54,7 +54,7 @@ def test_sb3_evaluates_it_like_a_model_of_its_own(folder: Path) -> None:
     env = Monitor(gymnasium.make("LunarRescue-v0", max_episode_steps=8))
     returns, lengths = evaluate_policy(
         reproduce.load_policy(folder), env, n_eval_episodes=2, return_episode_rewards=True
-    )  # type: ignore[arg-type]
+    )
     assert lengths == [8, 8] and np.isfinite(returns).all()
 
 
