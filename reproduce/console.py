@@ -1,7 +1,9 @@
 """What all commands share: options, whose paths are checked before any work begins, and how a command ends."""
 
+import importlib.metadata
 import logging
 import os
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -15,6 +17,10 @@ from reproduce.storage.files import check_writable
 from reproduce.storage.processes import Stop, stop_signals
 
 AS_NEEDED = "begin, go on, or do nothing where this training has ended; another configuration's files are set aside"
+
+
+#: Distributions whose modules have another name.
+DISTRIBUTIONS = {"yaml": "pyyaml", "material": "mkdocs-material"}
 
 
 def as_path(text: str) -> Path:
@@ -137,12 +143,26 @@ def _invoke(app: typer.Typer, stop: Stop) -> int:
     except BrokenPipeError:  # who read the output has had enough; what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except ModuleNotFoundError as error:
+        if (extra := missing_extra(error.name or "")) is None:
+            raise
+        return _complain(f"this needs {error.name}, which is not installed: pip install 'lunar-rescue[{extra}]'")
     except (CommandLineError, UserError, RunFailedError, ValueError, OSError) as error:
         if stop.number:  # a signal to the whole group may end a worker before it is handled here
             return _complain("interrupted", stop.code)
         message = error.format_message() if isinstance(error, CommandLineError) else str(error)
         return _complain(message, 1 if isinstance(error, RunFailedError | OSError) else 2)
     return code if isinstance(code, int) else 0  # --help has a code, commands have none
+
+
+def missing_extra(module: str) -> str | None:
+    """Return the extra of this distribution that brings a module; None where none does."""
+    distribution = re.sub(r"[-_.]+", "-", DISTRIBUTIONS.get(module, module.partition(".")[0])).lower()
+    for line in importlib.metadata.requires("lunar-rescue") or []:
+        wanted = re.match(r"([\w.-]+).*; extra == ['\"](\w+)['\"]", line)
+        if wanted and re.sub(r"[-_.]+", "-", wanted[1]).lower() == distribution:
+            return wanted[2]
+    return None
 
 
 def _complain(message: str, code: int = 2) -> int:
