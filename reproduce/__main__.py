@@ -151,6 +151,20 @@ def export(
 
 
 @app.command()
+def onnx(
+    run: Annotated[Path, typer.Argument(parser=console.as_path, metavar="DIR", help="run folder of a trained policy")],
+    out: Annotated[Path, console.folder("folder to write")],
+) -> None:
+    """Write the networks of a trained policy as ONNX, for programs without PyTorch."""
+    if not run.is_dir():
+        raise UserError(f"{run}: expected a run folder, as `reproduce train` writes it")
+    from reproduce.experiments.onnx_export import export_onnx
+
+    for path in export_onnx(run, out):
+        typer.echo(f"{path}: written")
+
+
+@app.command()
 def watch(
     run: console.Policy,
     seed: console.SceneSeed = 0,

@@ -107,6 +107,12 @@ def with_policy(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("page", ["README.md", "docs/library.md", "docs/learners.md"])
 def test_snippets_run_as_they_stand_in_an_empty_folder(page: str, installed: Path, with_policy: Path) -> None:
+    if page == "docs/library.md":
+        command = [sys.executable, str(installed / "bin" / "reproduce")]
+        commands = re.findall(r"```\nreproduce (.*)\n```", (ROOT / page).read_text(encoding="utf-8"))
+        assert [
+            run([*command, *c.split()], with_policy, PYTHONPATH=str(installed)).count(": written") for c in commands
+        ] == [2]
     said = [run([sys.executable, "-c", text], with_policy, PYTHONPATH=str(installed)) for text in snippets(page)]
     if page == "README.md":
         assert re.fullmatch(r"[a-z_]+ (rescued|failed by [a-z_]+)\n", said[0])
@@ -114,6 +120,7 @@ def test_snippets_run_as_they_stand_in_an_empty_folder(page: str, installed: Pat
     if page == "docs/library.md":
         assert re.fullmatch(r"(True|False) (None|[a-z_]+)\n", said[0])
         assert re.fullmatch(r"(\d+ (lift|turn_over) \w+ (True|False) \w+ \d+\n){3}", said[1])
+        assert said[3] == "(1, 11) ['environment_version', 'level', 'method', 'policy']\n"
         assert re.fullmatch(r"return -?[\d.]+, standard deviation [\d.]+\n", said[2])
     if page != "docs/library.md":
         with zipfile.ZipFile(with_policy / "ppo.zip") as model:
