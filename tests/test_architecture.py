@@ -29,6 +29,7 @@ ORDER = {
         ("storage",),
     ),
     "lunar_rescue": (
+        ("step_limit",),
         ("env",),
         ("pictures",),
         ("contacts", "episode", "observation", "rewards", "tasks"),

@@ -1,6 +1,7 @@
 """lunar_rescue: the rescue of a fallen astronaut by a two-armed lunar robot, as a Gymnasium environment."""
 
 import importlib.metadata
+from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
@@ -15,14 +16,24 @@ from lunar_rescue.tasks import MAX_STEPS
 
 __version__ = importlib.metadata.version("lunar-rescue")
 ENV_ID = "LunarRescue-v0"
-gymnasium.register(
-    id=ENV_ID,
-    entry_point="lunar_rescue.env:LunarRescueEnv",
-    max_episode_steps=MAX_STEPS,
-    additional_wrappers=(WrapperSpec("StepLimit", "lunar_rescue.env:StepLimit", {}),),
-)
+#: Names for ``gymnasium.make``, and the options of ``reset`` that hold in each.
+ENVIRONMENTS: dict[str, dict[str, Any]] = {
+    ENV_ID: {},
+    "LunarRescueLift-v0": {"task": "lift"},
+    "LunarRescueTurnOver-v0": {"task": "turn_over"},
+    "LunarRescueEasy-v0": {"easy": True},
+}
+for _name, _scenes in ENVIRONMENTS.items():
+    gymnasium.register(
+        id=_name,
+        entry_point="lunar_rescue.env:LunarRescueEnv",
+        max_episode_steps=MAX_STEPS,
+        additional_wrappers=(WrapperSpec("StepLimit", "lunar_rescue.step_limit:StepLimit", {}),),
+        kwargs={"scenes": _scenes} if _scenes else {},
+    )
 
 __all__ = [
+    "ENVIRONMENTS",
     "ENVIRONMENT_VERSION",
     "ENV_ID",
     "TASKS",

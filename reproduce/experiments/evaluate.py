@@ -13,6 +13,7 @@ import numpy as np
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.scenes.postures import all_postures
+from lunar_rescue.scenes.sampling import easy_scene
 from reproduce.experiments.methods import METHODS, Method, check_actor, load_policy
 from reproduce.experiments.pool import map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
@@ -81,11 +82,7 @@ def _prepare(where: str, ablation: str | None) -> None:
 def _test(seed: int, easy: bool) -> dict[str, Any]:
     if hasattr(_STATE["policy"], "reseed"):
         _STATE["policy"].reseed(seed)
-    if not easy:
-        return run_episode(_STATE["env"], _STATE["policy"], sample_scene(seed))
-    from reproduce.learning.workers import easy_scene
-
-    return run_episode(_STATE["env"], _STATE["policy"], easy_scene(seed))
+    return run_episode(_STATE["env"], _STATE["policy"], easy_scene(seed) if easy else sample_scene(seed))
 
 
 def rescue_scenes(

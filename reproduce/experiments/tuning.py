@@ -1,6 +1,6 @@
 """Tuning trials: short trainings, judged on validation scenes, as many for each baseline (``trials.toml``).
 
-Trainings and scenes are easy ones (``learning.workers.easy_scene``): on all scenes a flat method rescues next to
+Trainings and scenes are easy ones (``lunar_rescue.scenes.sampling``): on all scenes a flat method rescues next to
 nobody in as many steps as a trial can have, and all trials would look alike. A trial is judged by the share of the two
 processes of a rescue that its policy completes: half for both arms under, half for the rescue. Schedules are scaled to
 the trial's length.
