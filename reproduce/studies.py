@@ -82,6 +82,19 @@ def convergence(
 
 
 @app.command()
+def crate(
+    folder: Annotated[
+        Path | None, typer.Option(parser=console.as_path, metavar="DIR", help="results/ without it")
+    ] = None,
+) -> None:
+    """Describe the results as an RO-Crate, for archives; writes ro-crate-metadata.json into their folder."""
+    from reproduce.report.archive import write_crate
+    from reproduce.storage.paths import RESULTS
+
+    typer.echo(f"{write_crate(folder or RESULTS)}: written")
+
+
+@app.command()
 def tune(
     method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
     steps: Annotated[int, typer.Option(min=1, help="environment steps of a trial")] = 300_000,

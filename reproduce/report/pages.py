@@ -26,6 +26,7 @@ from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
 from reproduce.experiments.workflow.plan import REPORT, TABLES
+from reproduce.report.archive import codemeta
 from reproduce.report.reference import reference
 from reproduce.report.rendering import template
 from reproduce.storage.files import read_json, write_text
@@ -131,6 +132,7 @@ def main() -> int:
         except ValueError as error:
             print(error, file=sys.stderr)
             return 2
+    write_text(ROOT / "codemeta.json", codemeta())
     return 0
 
 
