@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +16,9 @@ app = studies.app  # with the commands that measure and tune, to which these are
 
 @app.command()
 def train(
-    method: Annotated[str, typer.Argument(help="a method that learns, such as hrl_dcs")],
+    method: Annotated[
+        str, typer.Argument(help="a method that learns, such as hrl_dcs", autocompletion=console.trainable)
+    ],
     out: Annotated[Path, console.folder("folder to write")],
     preset: console.Preset = "laptop",
     seed: Annotated[int, typer.Option(min=0, help="seed of networks, scenes and minibatches")] = 0,
@@ -28,10 +31,16 @@ def train(
     """Train a method and write a run folder."""
     if as_needed and (resume or tensorboard):
         raise UserError("--as-needed: goes on by itself and keeps no other log; leave --resume, --tensorboard out")
-    from reproduce.experiments import train as training
-    from reproduce.experiments.methods import get_method
+    from reproduce.experiments.methods import check_run_folder, get_method
+    from reproduce.experiments.presets import check_preset
 
     entry = get_method(method)
+    entry.check_learns()
+    check_preset(preset)
+    if not as_needed:
+        check_run_folder(out, resume)
+    from reproduce.experiments import train as training  # PyTorch takes seconds, which a mistake need not wait for
+
     config = entry.config(preset)
     config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
     if as_needed:
@@ -51,13 +60,22 @@ def evaluate(
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     simulator: console.Simulator = "pybullet",
     json: console.JsonFile = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="also both arms under, by task and by posture")] = False,
 ) -> None:
-    """Test a policy: success with its interval, by task, posture and failure."""
-    from reproduce.experiments.evaluate import evaluate as test
-    from reproduce.experiments.pool import first_scene
+    """Test a policy: success with its interval and the causes of failure; the rest with --verbose or in the file."""
+    from reproduce.experiments.methods import check_actor
 
+    check_actor(run)
+    from reproduce.experiments.pool import first_scene
+    from reproduce.hrl_dcs.config import check_ablation
+
+    if ablation is not None:
+        check_ablation(ablation)
     seed = first_scene(split, first_seed, typer.echo)
-    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=_print_evaluation, simulator=simulator)
+    from reproduce.experiments.evaluate import evaluate as test
+
+    tell = partial(_print_evaluation, verbose=verbose)
+    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, simulator=simulator)
 
 
 @app.command("evaluate-reference")
@@ -77,17 +95,19 @@ def evaluate_reference(
         typer.echo(f"{path}: written")
 
 
-def _print_evaluation(result: dict[str, Any]) -> None:
+def _print_evaluation(result: dict[str, Any], verbose: bool) -> None:
     rate, low, high = (100 * result[k] for k in ("success_rate", "wilson_low", "wilson_high"))
     typer.echo(
         f"{result['method']}: {result['successes']} of {result['tests']} rescued, {rate:.1f} % [{low:.1f}, {high:.1f}]"
     )
+    for word, count in sorted(result["failures"].items(), key=lambda failure: -failure[1]):
+        typer.echo(f"  failed by {word.replace('_', ' ')}: {count}")
+    if not verbose:
+        return
     typer.echo(f"both arms under: {100 * result['both_arms_under']:.1f} %, {result['seconds_per_test']:.3f} s a test")
     for group in ("task", "posture"):
         for name, counts in result[f"by_{group}"].items():
             typer.echo(f"  {group} {name}: {counts['successes']} of {counts['tests']}")
-    for word, count in result["failures"].items():
-        typer.echo(f"  failed by {word}: {count}")
 
 
 @app.command()
@@ -104,11 +124,16 @@ def replay(
     simulator: console.Simulator = "pybullet",
 ) -> None:
     """Show one rescue as a film, a strip of pictures or in three dimensions."""
+    from reproduce.experiments.methods import check_actor
+    from reproduce.report.formats import parse_format, parse_size
+
+    parse_format(out)
+    pixels = parse_size(size)
+    check_actor(run)
+    console.check_scene(seed, posture, task)
     from reproduce.report.acting import ending
-    from reproduce.report.film import parse_size
     from reproduce.report.film import replay as show
 
-    pixels = parse_size(size)
     row = show(run, seed, out, posture=posture, task=task, overlay=overlay, size=pixels, simulator=simulator)
     typer.echo(f"{out}: scene {seed}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
 
@@ -120,9 +145,26 @@ def export(
     seed: Annotated[int | None, typer.Option(min=0, help="training seed; the first one without it")] = None,
 ) -> None:
     """Write a reference policy with its model card to a folder that can be uploaded to a model hub."""
+    from reproduce.experiments.methods import get_method
+
+    get_method(method)
     from reproduce.report.cards import export as write
 
     typer.echo(f"{write(method, out, seed)}: written; `reproduce evaluate {out}` takes it")
+
+
+@app.command()
+def onnx(
+    run: Annotated[Path, typer.Argument(parser=console.as_path, metavar="DIR", help="run folder of a trained policy")],
+    out: Annotated[Path, console.folder("folder to write")],
+) -> None:
+    """Write the networks of a trained policy as ONNX, for programs without PyTorch."""
+    if not run.is_dir():
+        raise UserError(f"{run}: expected a run folder, as `reproduce train` writes it")
+    from reproduce.experiments.onnx_export import export_onnx
+
+    for path in export_onnx(run, out):
+        typer.echo(f"{path}: written")
 
 
 @app.command()
@@ -135,6 +177,10 @@ def watch(
     port: Annotated[int, typer.Option(min=0, max=65535, help="of the page; 0 takes a free one")] = 8080,
 ) -> None:
     """Watch rescues in the browser, in real time; needs no display where it runs."""
+    from reproduce.experiments.methods import check_actor
+
+    check_actor(run)
+    console.check_scene(seed, posture, task)
     from reproduce.report.watch import watch as show
 
     show(run, seed, rescues, posture=posture, task=task, port=port, tell=typer.echo)
@@ -151,6 +197,11 @@ def notebooks(
     replays: console.Replays = True,
 ) -> None:
     """Run the notebooks with papermill, in order, and build the report."""
+    from reproduce.experiments.presets import check_preset
+    from reproduce.storage.paths import choose_notebooks
+
+    check_preset(preset)
+    choose_notebooks(only)
     from reproduce.report.notebooks import run_notebooks
 
     typer.echo(f"{run_notebooks(preset, only=only, assignments=parameter or [])}: notebooks written")
@@ -176,11 +227,17 @@ def batch(
     profile: Annotated[str, typer.Option(help="local, slurm, or a folder with a Snakemake profile")] = "local",
     slots: Annotated[int | None, typer.Option(min=1, help="jobs at once; one for two cores without it")] = None,
     threads: Annotated[int | None, typer.Option(min=1, help="cores of a job; cores by slots without it")] = None,
-    until: Annotated[str, typer.Option(help="report, tables (without notebooks) or policies (only train)")] = "report",
+    until: Annotated[
+        console.Until, typer.Option(help="report, tables (without notebooks) or policies (only train)")
+    ] = "report",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only list what is left")] = False,
 ) -> None:
     """Reproduce everything as a workflow: train, evaluate, tables, claims, notebooks, report; goes on where it was."""
-    from reproduce.experiments.methods import METHODS
+    from reproduce.experiments.methods import METHODS, get_method
+    from reproduce.experiments.presets import check_preset
+
+    check_preset(preset)
+    names = list(METHODS) if methods == "all" else [get_method(name.strip()).name for name in methods.split(",")]
     from reproduce.experiments.workflow.batch import run_batch
     from reproduce.experiments.workflow.plan import TARGETS, Plan, parse_seeds
     from reproduce.storage.paths import RESULTS
@@ -188,7 +245,6 @@ def batch(
     cores = len(os.sched_getaffinity(0))
     slots = slots or max(1, cores // 2)
     threads = threads or max(1, cores // slots)
-    names = list(METHODS) if methods == "all" else [name.strip() for name in methods.split(",")]
     out = out or RESULTS / "batch" / preset
     run_batch(Plan.make(preset, names, parse_seeds(seeds), threads), out, profile, slots, until, dry_run, typer.echo)
     if not dry_run:

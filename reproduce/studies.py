@@ -9,16 +9,20 @@ from reproduce import console
 
 app = typer.Typer(
     cls=console.Commands,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
 )
 
 
+@app.callback()
+def options(version: console.Version = False) -> None:
+    """Take what goes before any command."""
+
+
 @app.command()
 def bench(
-    part: Annotated[str, typer.Option(help="env, training, tests or all")] = "all",
+    part: Annotated[console.Part, typer.Option(help="which figures")] = "all",
     json: console.JsonFile = None,
 ) -> None:
     """Measure speed, each figure against a peer in the same run."""
@@ -92,12 +96,28 @@ def agreement(
 
 
 @app.command()
+def crate(
+    folder: Annotated[
+        Path | None, typer.Option(parser=console.as_path, metavar="DIR", help="results/ without it")
+    ] = None,
+) -> None:
+    """Describe the results as an RO-Crate, for archives; writes ro-crate-metadata.json into their folder."""
+    from reproduce.report.archive import write_crate
+    from reproduce.storage.paths import RESULTS
+
+    typer.echo(f"{write_crate(folder or RESULTS)}: written")
+
+
+@app.command()
 def tune(
     method: Annotated[str, typer.Argument(help="a baseline, such as fun")],
     steps: Annotated[int, typer.Option(min=1, help="environment steps of a trial")] = 300_000,
     tests: Annotated[int, typer.Option(min=1, help="easy validation scenes after each")] = 100,
 ) -> None:
     """Make a baseline's tuning trials that were not made yet; writes results/trials/tuning/METHOD.csv."""
+    from reproduce.experiments.presets import check_tunable
+
+    check_tunable(method)
     from reproduce.experiments.tuning import tune as run
 
     run(method, steps, tests, tell=typer.echo)

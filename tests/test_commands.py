@@ -70,6 +70,18 @@ def test_evaluation_has_the_contract_s_fields(run: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.process
+def test_an_evaluation_prints_the_answer_first_and_the_rest_when_asked() -> None:
+    short, long = (call("evaluate", "random", "--tests", "6", *more) for more in ([], ["--verbose"]))
+    first, *causes = short.out.splitlines()
+    told = re.fullmatch(r"random: (\d) of 6 rescued, [\d.]+ % \[([\d.]+), ([\d.]+)\]", first)
+    assert told and float(told[2]) <= 100 * int(told[1]) / 6 <= float(told[3])
+    counts = [re.fullmatch(r"  failed by [a-z ]+: (\d)", line) for line in causes]
+    assert sum(int(count[1]) for count in counts if count) == 6 - int(told[1]) and all(counts)
+    assert long.out.startswith(short.out)
+    assert "both arms under: " in long.out and "  task lift: " in long.out and "  posture " in long.out
+
+
+@pytest.mark.process
 def test_results_do_not_depend_on_workers_or_neighbours(run: Path) -> None:
     together = rescue_scenes(run, 3, workers=2, quiet=True)
     alone = [row for seed in range(3) for row in rescue_scenes(run, 1, first_seed=seed, workers=1, quiet=True)]

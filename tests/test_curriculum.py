@@ -11,11 +11,12 @@ from gymnasium import spaces
 
 from lunar_rescue.observation import SLICES
 from lunar_rescue.scenes.postures import postures
+from lunar_rescue.scenes.sampling import EASY_POSTURE, easy_scene
 from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.experiments.methods import METHODS
 from reproduce.hrl_dcs.goals import PlainGoals
 from reproduce.learning.training import episode_summary, make_environments
-from reproduce.learning.workers import EASY_POSTURE, EnvOptions, _options, easy_scene
+from reproduce.learning.workers import EnvOptions, _options
 
 
 def test_easy_scenes_have_one_posture_no_rocks_and_the_lightest_astronaut() -> None:

@@ -17,7 +17,7 @@ NAME = re.compile(rf"`(?:[\w.-]+/)+[\w.-]*`|`\w+\.(?:{ENDINGS})`")
 #: environment version are not there before its trainings are.
 MADE = re.compile(
     r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded|reference|solvability|agreement)(/|$)"
-    r"|(results/)?(bench(_\w+)?|claims|table1|timings|config|policy|run)\.(json|csv)$|.*(METHOD|PRESET|NAME|DIR)\b"
+    r"|(results/)?(bench(_\w+)?|claims|table1|timings|config|policy|run|evaluation)\.(json|csv)$|.*(METHOD|PRESET|NAME|DIR)\b"
 )
 
 

@@ -20,7 +20,7 @@ from lunar_rescue import LunarRescueEnv, Scene, rewards, sample_scene
 from lunar_rescue.observation import ENTRIES, SIZE, SLICES
 from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.scenes.rocks import MAX_ROCKS
-from lunar_rescue.scenes.scene import task_distribution
+from lunar_rescue.scenes.scene import MASS_RANGE, task_distribution
 from lunar_rescue.scenes.splits import SPLITS, TRAIN
 from reproduce.baselines.scripted import ScriptedPolicy
 
@@ -241,7 +241,7 @@ def test_bad_calls_are_refused_by_name(env: LunarRescueEnv, call: Any, words: st
 
 def test_bad_constructions_and_order() -> None:
     with pytest.raises(ValueError, match="render_mode"):
-        LunarRescueEnv(render_mode="human")
+        LunarRescueEnv(render_mode="ansi")
     with pytest.raises(ValueError, match="obstacle_reward"):
         LunarRescueEnv(obstacle_reward="none")
     with pytest.raises(ValueError, match="max_steps"):
@@ -250,7 +250,27 @@ def test_bad_constructions_and_order() -> None:
     with pytest.raises(RuntimeError, match="reset"):
         env.step(np.zeros(11, np.float32))
     env.close()
-    assert lunar_rescue.ENV_ID in gymnasium.registry
+
+
+def test_each_name_has_its_own_scenes() -> None:
+    seen: dict[str, set[tuple[str, str, int, float]]] = {}
+    for name in lunar_rescue.ENVIRONMENTS:
+        env = gymnasium.make(name, max_episode_steps=3)
+        scenes = [env.reset(seed=seed, options={"split": "validation"})[1]["scene"] for seed in range(6)]
+        seen[name] = {(s.task, s.posture, len(s.rocks), s.mass) for s in scenes}
+        if name in ("LunarRescue-v0", "LunarRescueTurnOver-v0"):
+            assert env.reset(options={"posture": "left_side_stride"})[1]["posture"] == "left_side_stride"
+        scene = sample_scene(3, task="turn_over")
+        assert env.reset(options={"scene": scene})[1]["scene"] is scene
+        env.close()
+    assert {task for task, *_ in seen["LunarRescueLift-v0"]} == {"lift"}
+    assert {task for task, *_ in seen["LunarRescueTurnOver-v0"]} == {"turn_over"}
+    assert {(posture, rocks, mass) for _, posture, rocks, mass in seen["LunarRescueEasy-v0"]} == {
+        ("left_side_stride", 0, MASS_RANGE[0])
+    }
+    assert len({posture for _, posture, *_ in seen["LunarRescue-v0"]}) > 2 and lunar_rescue.ENV_ID in seen
+    with pytest.raises(ValueError, match="easy scenes have a posture of their own"):
+        LunarRescueEnv(scenes={"easy": True}).reset(options={"task": "lift"})
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps], ids=["deepcopy", "pickle"])

@@ -19,8 +19,8 @@ from lunar_rescue.physics.robot import JOINTS
 from reproduce.experiments.evaluate import rescue_scenes
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train
-from reproduce.hrl_dcs.ablation import ABLATIONS, ablated
-from reproduce.hrl_dcs.config import GoalConfig
+from reproduce.hrl_dcs.ablation import ablated
+from reproduce.hrl_dcs.config import ABLATIONS, GoalConfig
 from reproduce.hrl_dcs.joint_step import joint_step
 from reproduce.hrl_dcs.policy import HierarchicalPolicy
 from reproduce.hrl_dcs.subgoals import SUBGOAL_SIZE, RescueGoals, arm_ends, lln_size, targets

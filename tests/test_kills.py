@@ -16,7 +16,7 @@ import pytest
 from command_line import without_progress  # type: ignore[import-not-found]
 from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
-from reproduce.storage.checkpoint import CHECKPOINT
+from reproduce.storage.paths import CHECKPOINT
 
 SCRIPT = Path(__file__).parent / "small_training.py"
 KILLS = 20

@@ -25,8 +25,8 @@ from reproduce.experiments.presets import PRESETS, changed
 from reproduce.experiments.train import train
 from reproduce.learning.workers import RETURN, EnvOptions, WorkerVecEnv
 from reproduce.report import film as film_module
-from reproduce.storage.checkpoint import has_checkpoint
 from reproduce.storage.errors import UserError
+from reproduce.storage.paths import CHECKPOINT
 from reproduce.storage.records import to_dict
 
 LEARNING = [name for name, method in METHODS.items() if method.train is not None]
@@ -71,7 +71,7 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
         train(method, config, 3, parts, "smoke", quiet=True)
     monkeypatch.setattr(training, "save_checkpoint", save)
     train(method, config, 3, parts, "smoke", resume=True, quiet=True)
-    assert not has_checkpoint(parts)
+    assert not (parts / CHECKPOINT).exists()
     first, second = (load_file(folder / "policy.safetensors") for folder in (tmp_path / "whole", parts))
     assert first and all(th.equal(first[key], second[key]) for key in first)
 

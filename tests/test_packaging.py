@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import ast
 import importlib.metadata
+import os
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 from untrained import untrained_policy  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.storage.paths import ROOT
@@ -84,6 +87,47 @@ def test_an_installed_wheel_works_in_an_empty_folder(installed: Path, tmp_path: 
     assert sorted(installed.iterdir()) == before, "nothing is written beside the packages"
 
 
+def snippets(page: str) -> list[str]:
+    """Return the Python of a page, as it stands there."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def with_policy(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder in which the README's command has trained the policy that its snippets load."""
+    folder = tmp_path_factory.mktemp("snippets")
+    (command,) = set(
+        re.findall(r"`reproduce (train \S+ --preset smoke --out runs/first)`", (ROOT / "README.md").read_text())
+    )
+    run([sys.executable, str(installed / "bin" / "reproduce"), *command.split()], folder, PYTHONPATH=str(installed))
+    return folder
+
+
+@pytest.mark.process
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("page", ["README.md", "docs/library.md", "docs/learners.md"])
+def test_snippets_run_as_they_stand_in_an_empty_folder(page: str, installed: Path, with_policy: Path) -> None:
+    if page == "docs/library.md":
+        command = [sys.executable, str(installed / "bin" / "reproduce")]
+        commands = re.findall(r"```\nreproduce (.*)\n```", (ROOT / page).read_text(encoding="utf-8"))
+        assert [
+            run([*command, *c.split()], with_policy, PYTHONPATH=str(installed)).count(": written") for c in commands
+        ] == [2]
+    said = [run([sys.executable, "-c", text], with_policy, PYTHONPATH=str(installed)) for text in snippets(page)]
+    if page == "README.md":
+        assert re.fullmatch(r"[a-z_]+ (rescued|failed by [a-z_]+)\n", said[0])
+        assert len(said) == 2 and all(len(text.splitlines()) <= 12 for text in snippets(page))
+    if page == "docs/library.md":
+        assert re.fullmatch(r"(True|False) (None|[a-z_]+)\n", said[0])
+        assert re.fullmatch(r"(\d+ (lift|turn_over) \w+ (True|False) \w+ \d+\n){3}", said[1])
+        assert said[3] == "(1, 11) ['environment_version', 'level', 'method', 'policy']\n"
+        assert re.fullmatch(r"return -?[\d.]+, standard deviation [\d.]+\n", said[2])
+    if page != "docs/library.md":
+        with zipfile.ZipFile(with_policy / "ppo.zip") as model:
+            assert "policy.pth" in model.namelist()
+        assert all("set_num_threads(1)" in text for text in snippets(page) if "PPO" in text)
+
+
 def _imports(folder: Path) -> set[str]:
     """Return the top-level names that the modules of a folder import, inside functions too."""
     names: set[str] = set()
@@ -100,13 +144,24 @@ def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
+def requirements(*extras: str) -> list[str]:
+    """Return what the project requires with some extras, by the distributions' names; extras may name others."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = project["dependencies"] + [line for extra in extras for line in project["optional-dependencies"][extra]]
+    more = [name for line in lines if (own := re.match(r"lunar-rescue\[(.*)\]", line)) for name in own[1].split(",")]
+    return [_normal(re.split(r"[<>=!~\[; ]", line)[0]) for line in lines] + (requirements(*more) if more else [])
+
+
 @pytest.mark.parametrize(
-    ("folders", "extras"), [(("envs", "reproduce"), ("peers",)), (("tests", "examples"), ("dev", "peers"))]
+    ("folders", "extras"),
+    [
+        (("envs",), ("report",)),
+        (("envs", "reproduce"), ("all", "peers")),
+        (("tests", "examples"), ("all", "dev", "peers")),
+    ],
 )
 def test_every_import_is_declared(folders: tuple[str, ...], extras: tuple[str, ...]) -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    requirements = project["dependencies"] + [r for extra in extras for r in project["optional-dependencies"][extra]]
-    declared = {_normal(re.split(r"[<>=!~\[; ]", requirement)[0]) for requirement in requirements}
+    declared = set(requirements(*extras))
     distributions = importlib.metadata.packages_distributions()
     ours = {"lunar_rescue", "reproduce"} | {path.stem for path in (ROOT / "tests").glob("*.py")}
     missing = {
@@ -119,12 +174,70 @@ def test_every_import_is_declared(folders: tuple[str, ...], extras: tuple[str, .
 
 
 def test_the_lock_holds_a_version_of_every_dependency() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").split()
     names = [line.split("==")[0] for line in lines]
-    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
     assert names == sorted(names) and all(line.count("==") == 1 for line in lines)
-    assert {_normal(re.split(r"[<>=!~\[; ]", w)[0]) for w in wanted} <= {_normal(name) for name in names}
+    assert set(requirements("all", "dev")) - {"lunar-rescue"} <= {_normal(name) for name in names}
+
+
+def closure(names: Iterable[str]) -> set[str]:
+    """Return distributions and all that they require without extras, as they are installed here."""
+    found: set[str] = set()
+    waiting = list(names)
+    while waiting:
+        name = _normal(waiting.pop())
+        if name not in found:
+            found.add(name)
+            for line in map(Requirement, importlib.metadata.requires(name) or []):
+                waiting += [line.name] if line.marker is None or line.marker.evaluate({"extra": ""}) else []
+    return found
+
+
+@pytest.fixture(scope="module")
+def environment_alone(installed: Path) -> Path:
+    """Return a folder of links to what ``pip install .`` brings without extras, and to nothing else."""
+    folder = installed.parent / "environment alone"
+    folder.mkdir()
+    for name in closure(requirements()):
+        files = importlib.metadata.files(name) or []
+        for top in {file.parts[0] for file in files} - {"..", "__pycache__"}:
+            path = Path(str(importlib.metadata.distribution(name).locate_file(top)))
+            if not (folder / top).exists():
+                (folder / top).symlink_to(path)
+    return folder
+
+
+@pytest.mark.process
+def test_the_environment_alone_works_and_the_rest_names_its_extra(
+    installed: Path, environment_alone: Path, tmp_path: Path
+) -> None:
+    def python(*arguments: str) -> subprocess.CompletedProcess[str]:
+        surroundings = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "OMP_NUM_THREADS": "1"}
+        surroundings["PYTHONPATH"] = os.pathsep.join(map(str, (installed, environment_alone)))
+        command = [sys.executable, "-S", *arguments]  # -S: nothing of this Python's own site-packages
+        return subprocess.run(command, cwd=tmp_path, env=surroundings, capture_output=True, text=True, timeout=120)
+
+    assert python("-c", "import torch").returncode == 1, "this Python's packages are in the way"
+    text = """
+import gymnasium, lunar_rescue
+env = gymnasium.make("LunarRescue-v0", render_mode="rgb_array")
+env.reset(seed=0)
+print(len(env.step(env.action_space.sample())), env.render().ndim)
+"""
+    assert python("-W", "ignore", "-c", text).stdout.split()[-2:] == ["5", "3"]
+    command = str(installed / "bin" / "reproduce")
+    assert "evaluate" in python(command, "--help").stdout and "hrl_dcs" in python(command, "methods").stdout
+    for arguments, module, extra in (
+        (["train", "hrl_dcs", "--preset", "smoke", "--out", "x"], "pandas", "learning"),
+        (["evaluate", "scripted", "--tests", "2"], r"\w+", "learning"),
+        (["claims"], "yaml", "report"),
+    ):
+        done = python(command, *arguments)
+        (line,) = done.stderr.splitlines()
+        assert done.returncode == 2, line
+        wanted = rf"reproduce: this needs {module}, which is not installed: pip install 'lunar-rescue\[{extra}\]'"
+        assert re.fullmatch(wanted, line)
+    assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.process

@@ -22,7 +22,8 @@ from lunar_rescue.pictures.rendering import Studio
 from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.scenes.suit import suit_parts
 from lunar_rescue.scenes.terrain import Terrain
-from reproduce.report.film import parse_size, strip
+from reproduce.report.film import strip
+from reproduce.report.formats import parse_size
 from reproduce.storage.errors import UserError
 
 SMALL = (240, 176)

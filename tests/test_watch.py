@@ -11,14 +11,17 @@ import time
 import urllib.request
 from pathlib import Path
 
+import gymnasium
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
+from lunar_rescue.pictures import live as pace
+from lunar_rescue.pictures.live import LiveView, viser_server
 from reproduce.report import watch as module
 from reproduce.report.film import replay
-from reproduce.report.viewer import viser_server
-from reproduce.report.watch import LiveView, watch
+from reproduce.report.watch import watch
 from reproduce.storage.errors import UserError
 
 
@@ -45,8 +48,45 @@ def test_the_live_view_follows_an_episode_and_changes_the_scene() -> None:
     env.close()
 
 
+def test_a_human_sees_every_step_in_the_browser(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pace, "CONTROL_STEP", 0.0)
+    env = gymnasium.make("LunarRescueLift-v0", render_mode="human", max_episode_steps=2)
+    inner = env.unwrapped
+    assert isinstance(inner, LunarRescueEnv)
+    _, info = env.reset(seed=1)
+    (address,) = re.findall(r"^watch at (http://localhost:\d+)$", capsys.readouterr().err, re.M)
+    assert "<html" in urllib.request.urlopen(address, timeout=10).read().decode() and info["task"] == "lift"
+    assert inner._window is not None
+    actors = inner._window._view._actors
+    assert actors is not None
+    for _ in range(2):
+        env.step(np.ones(11, np.float32))
+        assert actors._ends[0].position == pytest.approx(inner.episode.robot.ends[0])
+    assert "failed by timeout" in actors._words.text and env.render() is None
+    env.reset(seed=2)  # the same page goes on with another scene
+    assert inner._window._view._actors is not actors and not capsys.readouterr().err
+    env.close()
+    with pytest.raises(OSError):
+        urllib.request.urlopen(address, timeout=10)
+
+
+def test_gymnasium_records_videos(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="needs the extra `video`, which is not in the lock")
+    made = gymnasium.make("LunarRescueEasy-v0", render_mode="rgb_array", max_episode_steps=4)
+    env = gymnasium.wrappers.RecordVideo(made, str(tmp_path), disable_logger=True)
+    env.reset(seed=0)
+    while not env.step(env.action_space.sample())[2]:
+        pass
+    env.close()
+    (film,) = tmp_path.glob("*.mp4")
+    assert len(iio.imread(film)) == 5  # the beginning and four steps
+
+
 def test_watch_shows_so_many_rescues_and_says_how_they_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("PAUSE", "PATIENCE", "CONTROL_STEP"):
+    monkeypatch.setattr(pace, "CONTROL_STEP", 0.0)
+    for name in ("PAUSE", "PATIENCE"):
         monkeypatch.setattr(module, name, 0.0)
     lines: list[str] = []
 

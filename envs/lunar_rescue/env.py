@@ -1,6 +1,7 @@
 """``LunarRescue-v0``: the multi-objective Markov decision process of section 2.1 as a Gymnasium environment."""
 
 import math
+import sys
 from collections import deque
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,12 +19,13 @@ from lunar_rescue.physics.engines import DEFAULT, make_simulation
 from lunar_rescue.physics.robot import JOINTS, Robot
 from lunar_rescue.physics.solver import SolverSettings
 from lunar_rescue.rewards import RewardWeights
-from lunar_rescue.scenes.sampling import sample_scene
+from lunar_rescue.scenes.sampling import easy_scene, sample_scene
 from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.scenes.splits import SPLITS
 from lunar_rescue.tasks import HOLD_STEPS, MAX_STEPS
 
 if TYPE_CHECKING:
+    from lunar_rescue.pictures.live import Window
     from lunar_rescue.pictures.rendering import Studio
 
 Array = NDArray[np.float64]
@@ -44,7 +46,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
     ``info["aapf"]`` is the AAPF term also where the contact reward replaces it, so that returns can be compared.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -54,24 +56,27 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         max_steps: int = MAX_STEPS,
         solver: SolverSettings | None = None,
         simulator: str = DEFAULT,
+        scenes: dict[str, Any] | None = None,
     ) -> None:
         """Connect to the simulator.
 
         Args:
-            render_mode: None or ``"rgb_array"``.
+            render_mode: None, ``"rgb_array"``, or ``"human"``: in the browser, in real time; the address is printed.
             weights: Weights of the reward's terms.
             obstacle_reward: ``"aapf"`` (Eq. 2) or ``"contact"`` (the ablation of section 4.3).
             max_steps: phi_max, step limit of an episode.
             solver: How finely the simulator works, if not as usual; other settings are for convergence studies.
             simulator: ``"pybullet"`` or ``"mujoco"``.
+            scenes: Options of ``reset`` that hold in every one, such as ``{"task": "lift"}``.
         """
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode: expected None or 'rgb_array', got {render_mode!r}")
+            raise ValueError(f"render_mode: expected None, 'rgb_array' or 'human', got {render_mode!r}")
         if obstacle_reward not in ("aapf", "contact"):
             raise ValueError(f"obstacle_reward: expected 'aapf' or 'contact', got {obstacle_reward!r}")
         self.render_mode = render_mode
         self.weights = weights or RewardWeights()
         self.obstacle_reward = obstacle_reward
+        self.scenes = dict(scenes or {})
         self.set_max_steps(max_steps)
         self.observation_space: spaces.Space[Any] = observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
@@ -80,6 +85,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         self._closed = False
         self._episode: Episode | None = None
         self._studio: Studio | None = None  # made with the first picture
+        self._window: Window | None = None  # opened with the first episode that is to be seen
         self._zero = np.zeros(JOINTS)
 
     def set_max_steps(self, max_steps: int) -> None:
@@ -96,7 +102,8 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
 
         Args:
             seed: Number of the scene in its split, the first one is 0; without one a scene is drawn.
-            options: Either ``scene``, or any of ``split`` (``"train"`` unless given), ``posture`` and ``task``.
+            options: Either ``scene``, or any of ``split`` (``"train"`` unless given), ``posture`` and ``task``, or
+                ``split`` and ``easy``: one posture, no rocks, the lightest astronaut.
         """
         vector, info = self.reset_flat(seed, options)
         return as_dict(vector), info
@@ -109,9 +116,9 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         return as_dict(vector), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture (height, width, 3), or None without a render mode."""
+        """Return a picture (height, width, 3); None without a render mode, or where people see every step anyway."""
         self._check_open()
-        if self.render_mode is None:
+        if self.render_mode != "rgb_array":
             return None
         if self._studio is None:
             from lunar_rescue.pictures.rendering import Studio
@@ -126,6 +133,9 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         if self._studio is not None:
             self._studio.close()
             self._studio = None
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     # -- the same with flat observations, for learners --------------------------------------------------------------
     def reset_flat(
@@ -136,6 +146,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         super().reset(seed=seed)
         scene = self._choose_scene(seed, dict(options or {}))
         self._episode = self._begin(scene)
+        self._show(self._episode)
         return self._observe(self._zero), {"scene": scene, "task": scene.task, "posture": scene.posture}
 
     def step_flat(
@@ -151,6 +162,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         if not success and failure is None and episode.steps >= self.max_steps:
             failure = "timeout"
         info = self._info(episode, terms, success, failure)
+        self._show(episode, "rescued" if success else f"failed by {failure}" if failure else "")
         # Time is observed, so its end is a state like any other: terminal, and nothing is to be expected beyond it.
         return self._observe(clipped), sum(terms.values()), success or failure is not None, False, info
 
@@ -166,22 +178,42 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         if self._closed:
             raise gymnasium.error.ClosedEnvironmentError("LunarRescue-v0: the environment is closed; make a new one")
 
+    def _show(self, episode: Episode, words: str = "") -> None:
+        """Let people see where everything is now, if they want to; opens the page at first."""
+        if self.render_mode != "human":
+            return
+        if self._window is None:
+            try:
+                from lunar_rescue.pictures.live import Window
+            except ModuleNotFoundError as error:
+                wanted = f"render_mode='human' needs {error.name}: pip install 'lunar-rescue[report]'"
+                raise gymnasium.error.DependencyNotInstalled(wanted) from None
+            self._window = Window()
+            print(f"watch at {self._window.address}", file=sys.stderr)
+        self._window.show(episode, words=words)
+
     # -- parts -------------------------------------------------------------------------------------------------------
     def _choose_scene(self, seed: int | None, options: dict[str, Any]) -> Scene:
+        if "scene" not in options:
+            options = {**self.scenes, **options}
         scene, posture, task, split = (options.pop(key, None) for key in ("scene", "posture", "task", "split"))
+        easy = options.pop("easy", False)
         if options:
-            raise ValueError(f"options: expected scene, posture, task or split, got {', '.join(map(repr, options))}")
+            names = ", ".join(map(repr, options))
+            raise ValueError(f"options: expected scene, posture, task, split or easy, got {names}")
         if scene is not None:
             if not isinstance(scene, Scene):
                 raise ValueError(f"options['scene']: expected a Scene, got {type(scene).__name__}")
-            if posture is not None or task is not None or split is not None:
+            if posture is not None or task is not None or split is not None or easy:
                 raise ValueError("options: a scene has its posture, task and split already; give them or a scene")
             return scene
         if split is not None and split not in SPLITS:
             raise ValueError(f"options['split']: expected one of {', '.join(SPLITS)}, got {split!r}")
         seeds = SPLITS[split or "train"]
         number = int(self.np_random.integers(len(seeds))) if seed is None else seed % len(seeds)
-        return sample_scene(seeds[number], posture=posture, task=task)
+        if easy and (posture is not None or task is not None):
+            raise ValueError("options['easy']: easy scenes have a posture of their own; leave posture and task out")
+        return easy_scene(seeds[number]) if easy else sample_scene(seeds[number], posture=posture, task=task)
 
     def _begin(self, scene: Scene) -> Episode:
         """Clear the world of the last episode, or make it anew when it is due, and build a scene."""
@@ -267,24 +299,3 @@ def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
     if array.shape != (JOINTS,) or not math.isfinite(array.sum()):
         raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
     return np.minimum(np.maximum(array, -1.0), 1.0)
-
-
-class StepLimit(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """Tell the environment the limit that ``gymnasium.make`` was given, so that there is only one.
-
-    Gymnasium's ``TimeLimit`` truncates from outside and tells nobody; the environment's own limit, to which time bonus
-    and ``phase`` count, follows it.
-    """
-
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        """Hand the limit of an environment's spec on to the environment itself."""
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        super().__init__(env)
-        if env.spec is None or env.spec.max_episode_steps is None:
-            return
-        limit, own = env.spec.max_episode_steps, env.spec.kwargs.get("max_steps", env.spec.max_episode_steps)
-        if own != limit:
-            raise ValueError(f"max_steps: expected max_episode_steps={own!r} in gymnasium.make, which has {limit!r}")
-        inner = env.unwrapped
-        if isinstance(inner, LunarRescueEnv):
-            inner.set_max_steps(limit)

@@ -6,6 +6,7 @@ entries lie in one flat vector, which learners read as it is; the Dict observati
 
 import json
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,11 @@ def observation_space() -> spaces.Dict:
 def as_dict(vector: Floats) -> dict[str, Floats]:
     """Slice flat observations, (..., SIZE), into the Dict's arrays."""
     return {key: vector[..., where].copy() for key, where in SLICES.items()}
+
+
+def as_flat(observation: Mapping[str, Floats]) -> Floats:
+    """Join the Dict's arrays (..., size) to flat observations (..., SIZE), whatever order its keys are in."""
+    return np.concatenate([observation[key] for key in SLICES], axis=-1)
 
 
 def observation_table() -> list[dict[str, object]]:

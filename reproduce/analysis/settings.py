@@ -44,7 +44,7 @@ def notes(kind: type) -> dict[str, str]:
 
 def settings_table(preset: str) -> pd.DataFrame:
     """A row a setting, a column a method; empty where a method does not have it."""
-    settings = {name: _settings(method.config(preset)) for name, method in METHODS.items() if method.train is not None}
+    settings = {name: _settings(method.config(preset)) for name, method in METHODS.items() if method.learns}
     origins = {row: note for own in settings.values() for row, (_, note) in own.items()}
     order = ["training", *TITLES.values()]
     rows = sorted(origins, key=lambda row: order.index(row[0]))

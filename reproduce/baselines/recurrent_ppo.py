@@ -25,11 +25,11 @@ class FlatPolicy(MirroredPolicy):
     def __init__(self, network: RecurrentNetwork, config: PolicyConfig) -> None:
         """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
         super().__init__(config)
-        self._network = network
+        self.network = network
 
     def begin(self, count: int) -> None:
         """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
-        self._memory = Memory(self._network, count)
+        self._memory = Memory(self.network, count)
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return the mean outputs (n, JOINTS); see ``MirroredPolicy``."""

@@ -202,12 +202,12 @@ class SacPolicy(MirroredPolicy):
     def __init__(self, actor: Actor, config: PolicyConfig) -> None:
         """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
         super().__init__(config)
-        self._actor = actor
+        self.network = actor
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return the mean actions; see ``MirroredPolicy``."""
         with th.no_grad():
-            means: Actions = self._actor(th.from_numpy(observations), deterministic=True).numpy()
+            means: Actions = self.network(th.from_numpy(observations), deterministic=True).numpy()
         return means
 
 

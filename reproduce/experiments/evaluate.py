@@ -3,7 +3,6 @@
 Every method meets the same scenes, and the result of a scene does not depend on which others are tested beside it.
 """
 
-import difflib
 import time
 from collections.abc import Callable
 from functools import partial
@@ -11,20 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch as th
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.scenes.postures import all_postures
-from reproduce.experiments.methods import METHODS, Method, load_policy
+from lunar_rescue.scenes.sampling import easy_scene
+from reproduce.experiments.methods import METHODS, Method, check_actor, load_policy
 from reproduce.experiments.pool import known_simulator, map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
-from reproduce.hrl_dcs.ablation import ablated
 from reproduce.learning.policy import Policy
-from reproduce.learning.workers import easy_scene
-from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, write_json
-from reproduce.storage.paths import REFERENCE, RESULTS
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
@@ -36,25 +31,16 @@ def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method,
     Raises:
         UserError: Where there is neither; the message names what there is and the nearest of it.
     """
-    name = str(where)
+    check_actor(where)
     if Path(where).exists():
         method, policy = load_policy(Path(where))
-    elif name in METHODS and METHODS[name].train is None:
-        method, policy = METHODS[name], METHODS[name].act(0)
     else:
-        raise UserError(_unknown(name))
-    return method, policy if ablation is None else ablated(policy, ablation, method.name)
+        method, policy = METHODS[str(where)], METHODS[str(where)].act(0)
+    if ablation is None:
+        return method, policy
+    from reproduce.hrl_dcs.ablation import ablated
 
-
-def _unknown(name: str) -> str:
-    fixed = [method.name for method in METHODS.values() if method.train is None]
-    runs = sorted(str(path.parent) for path in (RESULTS / REFERENCE).glob("*/seed*/policy.json"))
-    near = difflib.get_close_matches(name, [*fixed, *runs, *METHODS], n=1)
-    guess = f"; did you mean {near[0]}?" if near else ""
-    return (
-        f"{name}: no such run folder; expected one, such as {', '.join(runs) or 'one that train has written'}, "
-        f"or a method that does not learn, {', '.join(fixed)}{guess}"
-    )
+    return method, ablated(policy, ablation, method.name)
 
 
 def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
@@ -93,9 +79,12 @@ def put_into(simulator: str, policy: Policy) -> LunarRescueEnv:
 
 
 def _prepare(where: str, ablation: str | None, simulator: str) -> None:
-    th.set_num_threads(1)
-    _STATE["policy"] = find_policy(where, ablation)[1]
+    method, _STATE["policy"] = find_policy(where, ablation)
     _STATE["env"] = put_into(simulator, _STATE["policy"])
+    if method.learns:
+        import torch as th
+
+        th.set_num_threads(1)
 
 
 def _test(seed: int, easy: bool) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lunar_rescue.scenes.splits import SPLITS
 from reproduce.experiments.evaluate import evaluate
-from reproduce.hrl_dcs.ablation import ABLATIONS
+from reproduce.hrl_dcs.config import ABLATIONS
 
 #: Scenes of a full and of a smaller evaluation, by preset.
 TESTS = {"smoke": (8, 4), "laptop": (1000, 200), "paper": (1000, 200)}

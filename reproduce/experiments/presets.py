@@ -4,13 +4,15 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from reproduce.learning.config import TrainingConfig
 from reproduce.storage.errors import UserError
 from reproduce.storage.records import flat
 
-Config = TypeVar("Config", bound=TrainingConfig)
+if TYPE_CHECKING:
+    from reproduce.learning.config import TrainingConfig
+
+Config = TypeVar("Config", bound="TrainingConfig")
 Changes = Mapping[str, Any]
 
 
@@ -29,10 +31,21 @@ CHOSEN: dict[str, str] = _TRIALS.pop("chosen")
 TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
 
 
-def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
-    """Fill a method's configuration class with what is for it in a preset, and with ``changes``, see ``changed``."""
+def check_preset(preset: str) -> None:
+    """Refuse a preset that is not there."""
     if preset not in PRESETS:
         raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {preset!r}")
+
+
+def check_tunable(method: str) -> None:
+    """Refuse a method that has no tuning trials."""
+    if method not in TRIALS:
+        raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
+
+
+def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:
+    """Fill a method's configuration class with what is for it in a preset, and with ``changes``, see ``changed``."""
+    check_preset(preset)
     own = {field.name for field in fields(kind)}
     values = {name: value for name, value in PRESETS[preset].items() if name.split(".")[0] in own}
     return changed(changed(kind(steps=1), values), changes)

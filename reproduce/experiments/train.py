@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pandas as pd
 import torch as th
@@ -21,15 +21,15 @@ from tqdm.auto import tqdm
 
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.demonstrate import demonstrate
-from reproduce.experiments.methods import Method
+from reproduce.experiments.methods import Method, check_run_folder
 from reproduce.learning.config import TrainingConfig
 from reproduce.learning.demonstrations import play_back
 from reproduce.learning.training import Training
 from reproduce.learning.workers import WorkerError
-from reproduce.storage.checkpoint import CHECKPOINT, Progress, has_checkpoint, load_checkpoint, save_checkpoint
+from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text
-from reproduce.storage.paths import RESULTS
+from reproduce.storage.paths import CHECKPOINT, RESULTS
 from reproduce.storage.policies import save_policy
 from reproduce.storage.provenance import provenance
 from reproduce.storage.records import differences, to_dict
@@ -112,9 +112,8 @@ class _Run:
 
     def __post_init__(self) -> None:
         """Refuse a method that does not learn."""
-        if self.method.train is None:
-            raise UserError(f"method: {self.method.name!r} does not learn; evaluate it as it is")
-        self.start = self.method.train
+        self.method.check_learns()
+        self.start = cast("Callable[[Any, int], Training]", self.method.train)
 
     @property
     def description(self) -> dict[str, Any]:
@@ -140,16 +139,9 @@ class _Run:
 
     def check(self, resume: bool) -> None:
         """Refuse what cannot be begun, or gone on with, in the folder as it is."""
-        folder, config, checkpoint = self.folder, (self.folder / "config.json").is_file(), has_checkpoint(self.folder)
-        if (folder / "run.json").exists():
-            advice = "nothing is left to resume" if resume else "choose another --out"
-            raise UserError(f"{folder}: holds a finished run; {advice}")
-        if not resume and checkpoint:
-            raise UserError(f"{folder}: holds an unfinished run; go on with --resume, or choose another --out")
-        if resume and not config and not checkpoint:
-            raise UserError(f"{folder}: no checkpoint to resume from")
-        if resume and config and (changes := self.changes()):
-            raise UserError(f"{folder}: --resume with another configuration: {', '.join(changes[:3])}")
+        check_run_folder(self.folder, resume)
+        if resume and (self.folder / "config.json").is_file() and (changes := self.changes()):
+            raise UserError(f"{self.folder}: --resume with another configuration: {', '.join(changes[:3])}")
 
     def train(self, tensorboard: Path | None = None) -> pd.DataFrame:
         """Begin, or go on from the folder's checkpoint, and train to the end."""
@@ -174,7 +166,7 @@ class _Run:
         return pd.DataFrame(self.rows)
 
     def _restore(self, training: Training) -> None:
-        if not has_checkpoint(self.folder):
+        if not (self.folder / CHECKPOINT).is_file():
             return
         self.progress = self.saved = load_checkpoint(self.folder, training.learners, self.description)
         path = self.folder / "progress.csv"

@@ -1,6 +1,6 @@
 """Tuning trials: short trainings, judged on validation scenes, as many for each baseline (``trials.toml``).
 
-Trainings and scenes are easy ones (``learning.workers.easy_scene``): on all scenes a flat method rescues next to
+Trainings and scenes are easy ones (``lunar_rescue.scenes.sampling``): on all scenes a flat method rescues next to
 nobody in as many steps as a trial can have, and all trials would look alike. A trial is judged by the share of the two
 processes of a rescue that its policy completes: half for both arms under, half for the rescue. Schedules are scaled to
 the trial's length.
@@ -18,7 +18,7 @@ from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, configuration
+from reproduce.experiments.presets import CHOSEN, TRIALS, Changes, check_tunable, configuration
 from reproduce.experiments.train import train
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import locked
@@ -44,8 +44,7 @@ def tune(
     table is ``trials/tuning/METHOD.csv`` in ``results``, where no other tuning may be writing. After an interruption
     trials that ended are in it, and the same call makes the others.
     """
-    if method not in TRIALS:
-        raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
+    check_tunable(method)
     if steps < 1 or tests < 1:
         raise UserError(f"--steps, --tests: expected at least 1, got {steps} and {tests}")
     path = results / TUNING / f"{method}.csv"

@@ -8,6 +8,7 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
+from reproduce.hrl_dcs.config import ABLATIONS, check_ablation
 from reproduce.hrl_dcs.policy import HierarchicalPolicy
 from reproduce.hrl_dcs.subgoals import Floats, RescueGoals, targets
 from reproduce.learning.policy import Policy
@@ -41,16 +42,14 @@ def _untrained_lln(policy: HierarchicalPolicy) -> HierarchicalPolicy:
     return HierarchicalPolicy(sgn, fresh, policy.layers)
 
 
-ABLATIONS: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = {
-    "fixed_target": _fixed_target,
-    "untrained_lln": _untrained_lln,
-}
+_ABLATED: dict[str, Callable[[HierarchicalPolicy], HierarchicalPolicy]] = dict(
+    zip(ABLATIONS, (_fixed_target, _untrained_lln), strict=True)
+)
 
 
 def ablated(policy: Policy, ablation: str, method: str) -> HierarchicalPolicy:
     """Return a policy with one layer put out of action; ``UserError`` on an unknown ablation or no two layers."""
-    if ablation not in ABLATIONS:
-        raise UserError(f"--ablation: expected one of {', '.join(ABLATIONS)}; got {ablation!r}")
+    check_ablation(ablation)
     if not isinstance(policy, HierarchicalPolicy):
         raise UserError(f"--ablation: {method} has no two layers")
-    return ABLATIONS[ablation](policy)
+    return _ABLATED[ablation](policy)

@@ -8,6 +8,10 @@ from pydantic import Field, NonNegativeFloat, PositiveInt
 from lunar_rescue.rewards import ApproachForm
 from lunar_rescue.scenes.records import checked
 from reproduce.learning.config import LearnerConfig, PolicyConfig, RecurrentConfig
+from reproduce.storage.errors import UserError
+
+#: What ``hrl_dcs.ablation`` can put out of action in a trained policy.
+ABLATIONS = ("fixed_target", "untrained_lln")
 
 # Bounds are what a policy file of somebody else may ask for, so that all numbers stay finite.
 Interval = Annotated[int, Field(ge=1, le=10_000)]
@@ -66,3 +70,9 @@ class HierarchicalConfig(RecurrentConfig):
         return HierarchicalPolicyConfig(
             p.mirror, p.set_point_changes, self.hierarchy.interval, p.joint_step, self.goals
         )
+
+
+def check_ablation(name: str) -> None:
+    """Refuse the name of an ablation that is not there."""
+    if name not in ABLATIONS:
+        raise UserError(f"--ablation: expected one of {', '.join(ABLATIONS)}; got {name!r}")

@@ -16,13 +16,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from lunar_rescue.observation import GROUND_POINTS, SIZE, SLICES
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.suit import KEYPOINT_NAMES
-from reproduce.learning.workers import WorkerVecEnv
 
 Floats = NDArray[np.float32]
 
@@ -100,37 +97,3 @@ class Mirror:
     def points(self, points: Floats) -> Floats:
         """Return what the learner points at, as it lies in the environments, (n, 2, 3) [m]."""
         return np.where(self.mirrored[:, None, None], mirror_points(points), points)
-
-
-class MirroredVecEnv(VecEnvWrapper):
-    """Vectorised environments in the learner's view of them."""
-
-    venv: WorkerVecEnv
-
-    def __init__(self, venv: WorkerVecEnv) -> None:
-        super().__init__(venv)
-        self._mirror = Mirror(venv.num_envs)
-        self._everything = np.ones(venv.num_envs, bool)
-
-    def reset(self) -> Floats:
-        """Begin new episodes everywhere; return the first observations as the learner sees them."""
-        observations = self.venv.reset()
-        self._mirror.begin(observations, self._everything)
-        return self._mirror.observations(observations)
-
-    def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Send Eq. 3's actions (n, JOINTS)."""
-        self.venv.step_async(self._mirror.actions(actions))
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Wait for all workers; an ended episode's last observation, in its info, is seen as the episode was."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        for index in np.flatnonzero(dones):
-            if self._mirror.mirrored[index]:
-                last = infos[index]["terminal_observation"]
-                infos[index]["terminal_observation"] = mirror_observations(last[None])[0]
-        self._mirror.begin(observations, dones)
-        return self._mirror.observations(observations), rewards, dones, infos
-
-
-Environments = WorkerVecEnv | MirroredVecEnv

@@ -18,7 +18,7 @@ from reproduce.learning.actions import environment_actions
 from reproduce.learning.config import ImitationConfig, LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.demonstrations import PlayedBack
 from reproduce.learning.imitation import Example, Imitation
-from reproduce.learning.mirror import Environments, MirroredVecEnv
+from reproduce.learning.mirrored_envs import Environments, MirroredVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.workers import RETURN, ClosedVecEnv, EnvOptions, WorkerVecEnv

@@ -7,7 +7,7 @@ as a message. A scene's seed depends on the run's seed, the environment's index 
 import multiprocessing
 import os
 import traceback
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, NoReturn
@@ -17,11 +17,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from lunar_rescue import Scene, rewards, sample_scene
+from lunar_rescue import rewards
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.scenes.scene import MASS_RANGE
+from lunar_rescue.scenes.sampling import easy_scene
 from lunar_rescue.scenes.splits import TRAIN
 from reproduce.storage.processes import die_with_parent, start_fork_server
 
@@ -29,7 +29,6 @@ from reproduce.storage.processes import die_with_parent, start_fork_server
 TERMS = tuple(term.name for term in rewards.TERMS)
 #: Return of an ended episode by the environment's own reward, AAPF included, whichever obstacle reward is trained with.
 RETURN = "own_return"
-EASY_POSTURE = "left_side_stride"
 Floats = NDArray[np.float32]
 _STEP, _RESET, _CLOSE = b"s", b"r", b"c"
 _SPAWN = multiprocessing.get_context("forkserver")
@@ -113,11 +112,6 @@ def _work(pipe: Connection, *share: Any) -> None:
 def train_seed(run_seed: int, env: int, epoch: int, episode: int) -> int:
     """Draw a scene seed of the ``train`` split from the run's seed, the environment, the restart and the episode."""
     return int(np.random.default_rng([run_seed, env, epoch, episode]).integers(TRAIN.start, TRAIN.stop))
-
-
-def easy_scene(seed: int) -> Scene:
-    """Draw a scene of one posture with the lightest astronaut and no rocks, which any method that works can learn."""
-    return replace(sample_scene(seed, posture=EASY_POSTURE), rocks=(), mass=MASS_RANGE[0])
 
 
 def _options(seed: int, options: EnvOptions) -> dict[str, Any]:

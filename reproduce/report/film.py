@@ -16,21 +16,11 @@ from lunar_rescue.pictures.overlay import draw_overlay
 from lunar_rescue.pictures.rendering import Picture, Studio
 from reproduce.experiments.evaluate import put_into
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, load_policy_and_scene
+from reproduce.report.formats import parse_format
 from reproduce.report.viewer import record, write_replay
-from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, write_atomically
 
-FORMATS = (".mp4", ".gif", ".png", ".html")
-SIZE_RANGE = (128, 1920)  # px
 STRIP_PICTURES = 8
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Read width and height [px] from text such as 720x528, both multiples of 16."""
-    parts, (low, high) = text.lower().split("x"), SIZE_RANGE
-    if len(parts) != 2 or not all(p.isdecimal() and low <= int(p) <= high and int(p) % 16 == 0 for p in parts):
-        raise UserError(f"--size: expected WIDTHxHEIGHT, multiples of 16 from {low} to {high}; got {text!r}")
-    return int(parts[0]), int(parts[1])
 
 
 def replay(
@@ -48,9 +38,7 @@ def replay(
 
     Arguments are those of ``film``. Raises ``UserError`` before the rescue where the file could not be written.
     """
-    kind = out.suffix.lower()
-    if kind not in FORMATS:
-        raise UserError(f"--out: expected a name ending in {', '.join(FORMATS)}; got {out.name!r}")
+    kind = parse_format(out)
     check_writable(out)
     if kind == ".html":
         recording = record(where, seed, posture, task, simulator)

@@ -16,7 +16,7 @@ from papermill.exceptions import PapermillExecutionError
 
 from reproduce.report.parameters import check_value
 from reproduce.storage.errors import RunFailedError, UserError
-from reproduce.storage.paths import NOTEBOOKS, RESULTS, notebook_files
+from reproduce.storage.paths import NOTEBOOKS, RESULTS, choose_notebooks
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,7 @@ class Notebook:
 
 def find_notebooks(only: str | None = None, sources: Path = NOTEBOOKS) -> list[Notebook]:
     """Return the notebooks in order, or the one whose number or name is ``only``."""
-    paths = notebook_files(sources)
-    if not paths:
-        raise UserError(f"{sources}: no notebooks there; they need a checkout of the project")
-    if only is not None:
-        names = ", ".join(path.stem for path in paths)
-        paths = [path for path in paths if only in (path.stem, path.stem[:2])]
-        if not paths:
-            raise UserError(f"--only: expected a number or name of {names}; got {only!r}")
-    return [Notebook(path, _defaults(path)) for path in paths]
+    return [Notebook(path, _defaults(path)) for path in choose_notebooks(only, sources)]
 
 
 def _defaults(path: Path) -> dict[str, Any]:

@@ -27,6 +27,8 @@ from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
 from reproduce.experiments.workflow.plan import REPORT, TABLES
+from reproduce.report.archive import codemeta
+from reproduce.report.reference import reference
 from reproduce.report.rendering import template
 from reproduce.storage.files import read_json, write_text
 from reproduce.storage.paths import RESULTS, ROOT, notebook_files
@@ -112,6 +114,7 @@ PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
     "docs/simulators.md": _agreement,
+    "docs/api.md": lambda: {"parts": reference()},
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }
 
@@ -138,6 +141,7 @@ def main() -> int:
         except ValueError as error:
             print(error, file=sys.stderr)
             return 2
+    write_text(ROOT / "codemeta.json", codemeta())
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from lunar_rescue.scenes.splits import HELDOUT
-from reproduce.experiments.presets import PRESETS
+from reproduce.experiments.presets import check_preset
 from reproduce.storage.errors import UserError
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -29,8 +29,8 @@ _PLAIN = (str, int, float, bool, list, dict, tuple, type(None))
 
 def check_value(name: str, value: Any, default: Any) -> None:
     """Refuse a value of the wrong type or out of range; what ``PARAMETERS`` does not have has its default's type."""
-    if name == "preset" and value not in PRESETS:
-        raise UserError(f"preset: expected one of {', '.join(PRESETS)}; got {value!r}")
+    if name == "preset":
+        check_preset(value)
     adapter = PARAMETERS.get(name) or TypeAdapter(type(default), config=STRICT)
     try:
         adapter.validate_python(value)

@@ -25,7 +25,10 @@ from reproduce.storage.paths import ROOT, notebook_files
 from reproduce.storage.provenance import provenance
 
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
-DOCUMENTS = ("environment", "training", "training_log", "assumptions", "extending", "cluster", "report")
+DOCUMENTS = (
+    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "extending", "cluster"),
+    "report",
+)
 PICTURE = ROOT / "docs" / "rescue.png"
 REPLAYS = "replays"
 FOR_SERVERS = ("sitemap.xml", "sitemap.xml.gz", "404.html")

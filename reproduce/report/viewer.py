@@ -5,32 +5,28 @@ The report has a success and a failure of each method, and every posture.
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, redirect_stdout
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch as th
 
 from lunar_rescue import Scene, sample_scene
 from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.physics.robot import CONTROL_STEP
+from lunar_rescue.pictures.actors import Actors, Moment, Spectator
+from lunar_rescue.pictures.live import viser_server
 from lunar_rescue.pictures.stage import VisualShape
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.runs import Run
 from reproduce.experiments.evaluate import put_into
 from reproduce.experiments.methods import METHODS
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, ending, load_policy_and_scene
-from reproduce.report.actors import Actors, Moment, Spectator
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_text
 from reproduce.storage.processes import map_in_processes
-
-if TYPE_CHECKING:
-    import viser
 
 BEGIN = 0.3  # s that the first picture stays
 MOST_SCENES = 3000  # looked through for a posture
@@ -56,20 +52,6 @@ def record(
     with closing(put_into(simulator, policy)) as env, closing(Spectator()) as spectator:
         row = act_out(env, policy, scene, lambda *what: moments.append(spectator.look(env.episode, *what)[0]))
     return Recording(scene, spectator.robot, moments, row)
-
-
-@contextmanager
-def viser_server(port: int = 0) -> Iterator[viser.ViserServer]:
-    """Serve viser's page on this machine alone, without its announcements; port 0 takes a free one."""
-    import viser  # takes a second, and only this wants it
-
-    with redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-    try:
-        yield server
-    finally:
-        with redirect_stdout(io.StringIO()):
-            server.stop()
 
 
 def write_replay(recording: Recording, out: Path) -> None:

@@ -8,22 +8,13 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, sample_scene
-from lunar_rescue.physics.robot import CONTROL_STEP
+from lunar_rescue.pictures.live import LiveView, viser_server
 from reproduce.report.acting import act_out, ending, load_policy_and_scene
-from reproduce.report.actors import Actors, Spectator
-from reproduce.report.viewer import viser_server
 from reproduce.storage.errors import UserError
 
-if TYPE_CHECKING:
-    import viser
-
 PAUSE = 2.0  # s, after each rescue
-LAG = 0.5  # s, that a slow picture may be made up for by quicker ones after it
 PATIENCE = 60.0  # s, that the first rescue waits for somebody to open the page
 
 
@@ -58,28 +49,3 @@ def watch(
             row = act_out(env, policy, scene, lambda *what: live.show(env.episode, *what))
             tell(f"scene {number}, {row['task']} {row['posture']}: {ending(row)} after {row['steps']} steps")
             time.sleep(PAUSE)
-
-
-class LiveView:
-    """Shows an episode as it goes on, one step a ``CONTROL_STEP`` on average."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server, self._spectator = server, Spectator()
-        self._actors: Actors | None = None
-        self._due = 0.0
-
-    def show(self, episode: Any, subgoals: NDArray[Any] | None = None, words: str = "") -> None:
-        """Show where everything is now, when it is time for it; see ``Spectator.look``."""
-        time.sleep(max(0.0, self._due - time.monotonic()))
-        self._due = max(self._due, time.monotonic() - LAG) + CONTROL_STEP
-        moment, new = self._spectator.look(episode, subgoals, words)
-        if new or self._actors is None:
-            self._server.scene.reset()
-            self._actors = Actors(self._server, episode.scene, self._spectator.robot, moment, subgoals is not None)
-            self._due = time.monotonic() + CONTROL_STEP
-        with self._server.atomic():
-            self._actors.show(moment)
-
-    def close(self) -> None:
-        """Take the stage down; the server goes on."""
-        self._spectator.close()

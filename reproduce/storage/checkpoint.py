@@ -19,10 +19,10 @@ from safetensors.torch import save_file
 from lunar_rescue.scenes.records import checked
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_atomically
+from reproduce.storage.paths import CHECKPOINT
 from reproduce.storage.policies import read_tensors
 from reproduce.storage.records import differences, from_dict, to_dict
 
-CHECKPOINT = "checkpoint.safetensors"
 VERSION = 3
 LARGEST = 8_000_000_000  # bytes; a large replay buffer is in it
 
@@ -124,8 +124,3 @@ def restore_optimizer(name: str, optimizer: th.optim.Optimizer, tensors: dict[st
         index, what = key.split(".")
         state.setdefault(int(index), {})[what] = tensor
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-
-
-def has_checkpoint(folder: Path) -> bool:
-    """Return whether a training can go on from here."""
-    return (folder / CHECKPOINT).is_file()

@@ -3,21 +3,22 @@
 Weights are safetensors, everything else JSON. Names, types, shapes and sizes are checked before a network is built.
 """
 
+from __future__ import annotations
+
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
-
-import torch as th
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lunar_rescue import ENVIRONMENT_VERSION
 from lunar_rescue.scenes.records import checked
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_atomically, write_json
 from reproduce.storage.records import Units, from_dict, to_dict
+
+if TYPE_CHECKING:
+    import torch as th
 
 FORMAT = 1
 LARGEST_WEIGHTS = 200_000_000  # bytes
@@ -43,6 +44,8 @@ def save_policy(folder: Path, method: str, networks: Mapping[str, tuple[Spec, th
 
     ``networks`` says of each level how to build it, and holds it; ``config`` is all else that decides how it acts.
     """
+    from safetensors.torch import save_file
+
     tensors = {
         f"{level}.{name}": tensor.detach().contiguous().clone()
         for level, (_, network) in networks.items()
@@ -106,13 +109,15 @@ def load_networks(folder: Path, expected: Mapping[str, tuple[int, int]], kind: t
 
 def read_tensors(path: Path, most: int = LARGEST_WEIGHTS) -> dict[str, th.Tensor]:
     """Read a safetensors file of at most so many bytes; runs no code."""
+    from safetensors import SafetensorError, safe_open
+
     try:
         if path.stat().st_size > most:
             raise UserError(f"{path}: larger than {most} bytes")
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}
         for name, tensor in tensors.items():
-            if not bool(th.isfinite(tensor).all()):
+            if not bool(tensor.isfinite().all()):
                 raise UserError(f"{path}: {name}: holds values that are not finite")
     except FileNotFoundError:
         raise UserError(f"{path}: weights are missing") from None

@@ -8,7 +8,6 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from lunar_rescue.scenes.records import from_json
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 
@@ -26,6 +25,8 @@ def from_dict(kind: type[Record], raw: Any, where: str) -> Record:
 
     What is wrong is a ``UserError`` of one line: ``where``, the path of the field, what was expected and what came.
     """
+    from lunar_rescue.scenes.records import from_json  # brings the simulator, which names of presets do without
+
     try:
         record = from_json(kind, json.dumps(raw), where)
     except RecursionError:

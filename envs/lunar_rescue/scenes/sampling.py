@@ -45,6 +45,9 @@ IN_THE_WAY = 0.8
 WAY_AHEAD, WAY_ASIDE = (0.20, 0.45), (-0.18, 0.18)
 
 
+EASY_POSTURE = "left_side_stride"
+
+
 def sample_scene(seed: int, *, posture: str | None = None, task: str | None = None) -> Scene:
     """Draw a scene, a pure function of its arguments.
 
@@ -209,3 +212,8 @@ def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain,
 def _least_distance(points: Array, x: float, y: float) -> float:
     dx, dy = points[:, 0] - x, points[:, 1] - y
     return math.sqrt(float((dx * dx + dy * dy).min()))
+
+
+def easy_scene(seed: int) -> Scene:
+    """Draw a scene of one posture with the lightest astronaut and no rocks, which any method that works can learn."""
+    return replace(sample_scene(seed, posture=EASY_POSTURE), rocks=(), mass=MASS_RANGE[0])

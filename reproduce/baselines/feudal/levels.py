@@ -32,7 +32,7 @@ class DilatedLSTM(nn.Module):
 
     def step(self, inputs: th.Tensor, state: th.Tensor, clock: th.Tensor) -> th.Tensor:
         """Take one step, from inputs (n, i) to (n, d), and change ``state`` (n, 2, r, d) in place; ``clock`` is t."""
-        rows, group = th.arange(len(inputs)), clock % self.groups
+        rows, group = th.arange(inputs.shape[0]), clock % self.groups
         hidden, cell = state[rows, 0, group], state[rows, 1, group]
         _, (hidden, cell) = self.core(inputs[None], (hidden[None], cell[None]))
         state[rows, 0, group], state[rows, 1, group] = hidden[0], cell[0]

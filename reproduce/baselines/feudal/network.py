@@ -141,7 +141,7 @@ class FunNetwork(BasePolicy):
         if random_goals > 0.0:  # a goal's norm stays 1
             random = functional.normalize(th.randn_like(own), dim=-1)
             goals = th.where(th.rand(len(own), 1) < random_goals, random, own)
-        memory.goals[th.arange(len(goals)), memory.clock % self.spec.horizon] = goals
+        memory.goals[th.arange(goals.shape[0]), memory.clock % self.spec.horizon] = goals
         pooled = memory.goals.sum(1)
         before = memory.worker
         output, after = self.worker.core(z[None], (before[None, :, 0].contiguous(), before[None, :, 1].contiguous()))

@@ -68,7 +68,7 @@ class Plan:
 
     def learns(self, method: str) -> bool:
         """Return whether a method has to be trained."""
-        return METHODS[method].train is not None
+        return METHODS[method].learns
 
     def runs(self) -> list[tuple[str, int]]:
         """Return each method with each of its seeds; a method that does not learn has seed 0 alone."""

@@ -11,7 +11,6 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lunar_rescue import Scene
 from lunar_rescue.pictures import shapes
 from lunar_rescue.pictures.camera import scene_camera
 from lunar_rescue.pictures.overlay import (
@@ -28,8 +27,8 @@ from lunar_rescue.pictures.overlay import (
 from lunar_rescue.pictures.stage import Stage, VisualShape
 from lunar_rescue.pictures.stage_set import StageSet, suit_pose
 from lunar_rescue.scenes.rocks import rock_marks
+from lunar_rescue.scenes.scene import Scene
 from lunar_rescue.tasks import TARGET_RADIUS
-from reproduce.storage.errors import UserError
 
 if TYPE_CHECKING:
     import viser
@@ -206,4 +205,4 @@ def _solid(shape: VisualShape) -> trimesh.Trimesh:
             return solid
         case "sphere":
             return trimesh.creation.icosphere(2, radius=shape.size[0])
-    raise UserError(f"robot file: a replay cannot draw a {shape.kind}")
+    raise ValueError(f"robot file: a replay cannot draw a {shape.kind}")
