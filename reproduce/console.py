@@ -36,13 +36,6 @@ def as_file(text: str) -> Path:
     return path
 
 
-def as_simulator(text: str) -> str:
-    """Read the name of a simulator, and refuse one that is not there before the work begins."""
-    from reproduce.experiments.pool import known_simulator
-
-    return known_simulator(text)
-
-
 def folder(words: str) -> Any:
     """Return an option that takes the path of a folder; ``words`` are its help."""
     return typer.Option(parser=as_path, metavar="DIR", help=words)
@@ -107,7 +100,7 @@ Posture = Annotated[
 Task = Annotated[
     str | None, typer.Option(help="draw scenes with this task", autocompletion=lambda: ["lift", "turn_over"])
 ]
-Simulator = Annotated[str, typer.Option(parser=as_simulator, metavar="NAME", help="pybullet or mujoco")]
+Simulator = Annotated[str, typer.Option(help="pybullet or mujoco", autocompletion=lambda: ["pybullet", "mujoco"])]
 Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
 JsonFile = Annotated[Path | None, typer.Option("--json", parser=as_file, metavar="FILE", help="also write a file")]
 

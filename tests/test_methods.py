@@ -18,13 +18,14 @@ from lunar_rescue import LunarRescueEnv, RewardWeights
 from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.sac import SacTraining
+from reproduce.experiments import evaluate as acting
 from reproduce.experiments import train as training
 from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS, load_policy
 from reproduce.experiments.presets import PRESETS, changed
 from reproduce.experiments.train import train
 from reproduce.learning.workers import RETURN, EnvOptions, WorkerVecEnv
-from reproduce.report import film as film_module
+from reproduce.report.film import film
 from reproduce.storage.errors import UserError
 from reproduce.storage.paths import CHECKPOINT
 from reproduce.storage.records import to_dict
@@ -78,8 +79,8 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
     rows = tmp_path / "evaluation.json"
     assert evaluate(parts, 2, quiet=True, json=rows)["tests"] == 2
     assert list(pd.read_csv(rows.with_suffix(".csv"))["seed"]) == [0, 1]
-    monkeypatch.setattr(film_module, "LunarRescueEnv", partial(LunarRescueEnv, max_steps=8))  # pictures take time
-    frames, row = film_module.film(parts, 0, size=(160, 112))
+    monkeypatch.setattr(acting, "LunarRescueEnv", partial(LunarRescueEnv, max_steps=8))  # pictures take time
+    frames, row = film(parts, 0, size=(160, 112))
     assert len(frames) == 9 and row["posture"] and row["steps"] == 8
     loaded, policy = load_policy(parts)
     assert loaded.name == name

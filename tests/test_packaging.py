@@ -155,7 +155,7 @@ def requirements(*extras: str) -> list[str]:
 @pytest.mark.parametrize(
     ("folders", "extras"),
     [
-        (("envs",), ("report",)),
+        (("envs",), ("report", "mujoco")),
         (("envs", "reproduce"), ("all", "peers")),
         (("tests", "examples"), ("all", "dev", "peers")),
     ],

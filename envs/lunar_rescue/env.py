@@ -94,7 +94,6 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
             raise ValueError(f"max_steps: expected an integer >= 1, got {max_steps!r}")
         self.max_steps = max_steps
 
-    # -- Gymnasium's interface -------------------------------------------------------------------------------------
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:

@@ -90,15 +90,17 @@ def demonstrate(
         for start in range(first_seed + done, first_seed + scenes, CHUNK):
             seeds = range(start, min(start + CHUNK, first_seed + scenes))
             begun = time.monotonic()
-            title = f"scenes {done + 1} to {done + len(seeds)}"
-            job = partial(_demonstrate, deviations=deviations)
-            for more in map_scenes(job, seeds, _prepare, title=title, quiet=quiet):
-                rescues += more
+            rescues += _chunk(seeds, deviations, f"scenes {done + 1} to {done + len(seeds)}", quiet)
             done, seconds = done + len(seeds), seconds + time.monotonic() - begun
             about = {"scenes": str(done), "seconds": f"{seconds:.1f}", "origin": json.dumps(provenance())}
             write_demonstrations(out, rescues, {**kind, **about})
     tell(f"{out}: {len(rescues)} rescues of {done} scenes, made in {seconds / 60:.1f} minutes")
     return rescues, seconds
+
+
+def _chunk(seeds: range, deviations: tuple[float, ...], title: str, quiet: bool) -> list[Demonstration]:
+    job = partial(_demonstrate, deviations=deviations)
+    return [rescue for more in map_scenes(job, seeds, _prepare, title=title, quiet=quiet) for rescue in more]
 
 
 def _check(scenes: int, first_seed: int) -> None:
