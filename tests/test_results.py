@@ -109,8 +109,9 @@ def test_every_setting_says_where_it_comes_from() -> None:
     buffer, steps = (table.xs(key).to_dict() for key in (("SAC", "buffer_size"), ("training", "steps")))
     assert (buffer["sac"], buffer["sac_large_buffer"], buffer["fun"]) == (50_000, 1_000_000, "")
     # Those that only imitate take no steps of their own; all others take as many as each other.
-    assert {value for key, value in steps.items() if not str(key).endswith("_demos") and key != "where from"} == {5_000_000}
-    assert {value for key, value in steps.items() if str(key).endswith("_demos")} == {0}
+    taken = {str(key): value for key, value in steps.items() if key != "where from"}
+    assert {value for key, value in taken.items() if not key.endswith("_demos")} == {5_000_000}
+    assert {value for key, value in taken.items() if key.endswith("_demos")} == {0}
 
 
 def _results(make: RunFolder, folder: Path, runs: dict[str, list[tuple[int, int]]], per_test: float = 0.1) -> Path:
