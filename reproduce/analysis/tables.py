@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from lunar_rescue.scenes.scene import MASS_RANGE
-from reproduce.analysis.intervals import mean_interval, paired_difference, same_scenes
+from reproduce.analysis.intervals import Interval, crossed_interval, paired_difference, success_difference
 from reproduce.analysis.runs import Run, reference_runs
+from reproduce.analysis.trainings import LEVELS, Pool, horizon, percent, read_pools, steps_to
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import wilson
@@ -21,6 +23,7 @@ from reproduce.storage.provenance import write_table
 COUNTS = ["tests", "successes", "success_rate", "wilson_low", "wilson_high"]
 COLUMNS = ["method", "seed", "env_steps", "minutes", *COUNTS, "paper_success_rate"]
 SPLIT_TITLES = {"test": "evaluation", "held out": "heldout"}
+PAPER_LEVEL = 0.986  # success that the paper's method ends with
 MASS_CLASSES = 3  # equal parts of the range of masses
 _join = ", ".join
 
@@ -42,28 +45,62 @@ def table1(results: Path = RESULTS) -> pd.DataFrame:
 
 
 def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
-    """Return Table 1 for people: every method, saying where there is no run."""
-    runs, rows = [run for run in reference_runs(results) if run.evaluation], []
+    """Return Table 1 for people: every method, its mean over trainings and each of them, or that there is no run."""
+    tested, held_out, rows = read_pools(results), read_pools(results, "heldout"), []
     for name, method in METHODS.items():
-        mine = [run for run in runs if run.method == name]
+        pool, held = tested.get(name), held_out.get(name)
+        runs = pool.runs if pool else ()
         rows.append(
             {
                 "method": method.title,
                 "paper, 1000 tests": _percent(method.paper_success) if method.paper_success else "-",
-                "ours, success [95 % interval]": _join(_success(run.evaluation) for run in mine)
-                or "no run in results/ yet",
-                "held out": _join(_success(run.summary("heldout")) for run in mine),
-                "rescued gently": _join(_percent(run.evaluation["gentle"]) for run in mine if run.evaluation),
-                "tests": _join(str(run.evaluation["tests"]) for run in mine if run.evaluation),
-                "env steps": _join(f"{run.env_steps:,}" for run in mine),
-                "minutes": _join(f"{run.minutes:.0f}" for run in mine),
+                "ours, success [95 % interval]": percent(*pool.success) if pool else "no run in results/ yet",
+                "each training": _join(f"{100 * rate:.1f}" for rate in pool.rates) if pool and method.learns else "",
+                "held out": percent(*held.success) if held else ("-" if pool else ""),
+                "rescued gently": _percent(float(_gentle(pool).mean())) if pool else "",
+                "tests": str(len(pool.scenes)) if pool else "",
+                "env steps": _join(sorted({f"{run.env_steps:,}" for run in runs})),
+                "minutes": _join(f"{run.minutes:.0f}" for run in runs),
             }
         )
     return pd.DataFrame(rows)
 
 
-def _success(summary: dict[str, Any] | None) -> str:
-    return "{} [{}, {}]".format(*(_percent(summary[key]) for key in COUNTS[2:])) if summary else "-"
+def _gentle(pool: Pool) -> NDArray[np.bool_]:
+    """Return which tests ended in a gentle rescue, (trainings, scenes)."""
+    return pool.outcomes & (pool.values("gentle") > 0.0)
+
+
+def methods_table(results: Path = RESULTS) -> pd.DataFrame:
+    """Return a row a method and evaluation: mean success over trainings, its interval, the least and the best one."""
+    columns = ["method", "evaluation", "trainings", "env_steps", "tests"]
+    columns += ["success_rate", "low", "high", "least", "best", "gentle"]
+    rows = []
+    for title in SPLIT_TITLES.values():
+        for name, pool in read_pools(results, title).items():
+            scale = name, title, len(pool.runs), pool.env_steps, len(pool.scenes)
+            rows.append((*scale, *pool.success, min(pool.rates), max(pool.rates), float(_gentle(pool).mean())))
+    return pd.DataFrame(rows, columns=columns)
+
+
+def levels_table(results: Path = RESULTS) -> pd.DataFrame:
+    """Return a row a method and level of success while training: steps and minutes of its trainings to reach it.
+
+    ``restricted_mean`` is of the steps of all trainings, who has not reached the level counted with ``within``, the
+    steps of the method's shortest training; ``steps`` and ``minutes`` are of each training, in the order of seeds.
+    """
+    columns = ["method", "level", "trainings", "within", "reached", "restricted_mean", "steps", "minutes"]
+    rows = []
+    for name, pool in read_pools(results).items():
+        within = horizon([pool]) if pool.curves else 0.0
+        for level in (*LEVELS, PAPER_LEVEL) if pool.curves else ():
+            steps = [steps_to(curve, level) for curve in pool.curves]
+            reached, mean = sum(s <= within for s in steps), float(np.mean([min(s, within) for s in steps]))
+            minutes = [c.set_index("env_steps")["seconds"].get(s) for c, s in zip(pool.curves, steps, strict=True)]
+            told = _join("-" if np.isinf(s) else f"{s:.0f}" for s in steps)
+            lasted = _join("-" if m is None else f"{m / 60:.1f}" for m in minutes)
+            rows.append((name, level, len(steps), within, reached, mean, told, lasted))
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _percent(rate: float) -> str:
@@ -76,33 +113,41 @@ def write_table1(results: Path = RESULTS) -> Path:
 
 
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
-    """Return how much more often ``to`` rescues than each other run, on the same scenes, with intervals.
+    """Return how much more often ``to`` rescues than each other method, on the same scenes, with 95 % intervals.
 
-    ``to`` is compared by its first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    ``interval of`` says whether the interval is one of new trainings or of one training each, which says nothing of
+    others. ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
-    rows = [(f"{to} - {run.label}", tests, *difference) for run, tests, difference in _pairs(results, to, name)]
-    return pd.DataFrame(rows, columns=["success of", "tests", "difference", "low", "high"]).set_index("success of")
-
-
-def _pairs(results: Path, to: str, name: str) -> list[tuple[Run, int, tuple[float, float, float]]]:
-    """Return runs of other methods that met the same scenes, how many, and the difference with its interval."""
-    tests = [(run, rows) for run in reference_runs(results) if (rows := run.rows(name)) is not None]
-    own = next((rows for run, rows in tests if run.method == to), None)
-    return [
-        (run, len(rows), paired_difference(own["success"], rows["success"]))
-        for run, rows in tests
-        if own is not None and run.method != to and same_scenes(own, rows)
+    rows = [
+        (f"{to} - {other.method}", f"{len(own.runs)}, {len(other.runs)}", len(own.scenes), *interval, of)
+        for own, other, interval, of in _differences(results, to, name)
     ]
+    columns = ["success of", "trainings", "tests", "difference", "low", "high", "interval of"]
+    return pd.DataFrame(rows, columns=columns).set_index("success of")
+
+
+def _differences(results: Path, to: str, name: str) -> list[tuple[Pool, Pool, Interval, str]]:
+    """Return a method, each other one that met the same scenes, their difference and what its interval is of."""
+    pools = read_pools(results, name)
+    own = pools.get(to)
+    others = [pool for pool in pools.values() if own and pool is not own and pool.scenes == own.scenes]
+    return [(own, other, *_difference(own, other)) for other in others if own]
+
+
+def _difference(first: Pool, second: Pool) -> tuple[Interval, str]:
+    if all(len(pool.runs) > 1 or not METHODS[pool.method].learns for pool in (first, second)):
+        return success_difference(first.outcomes, second.outcomes), "trainings"
+    return paired_difference(first.outcomes[0], second.outcomes[0]), "one training each"
 
 
 def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.DataFrame:
     """Return paired differences for people, in points, on test scenes and on held-out ones."""
     columns = {
         title: {
-            f"{METHODS[run.method].title}, seed {run.seed}": "{:+.1f} [{:+.1f}, {:+.1f}]".format(
-                *(100 * value for value in difference)
+            METHODS[other.method].title + (", one training each" if of == "one training each" else ""): (
+                "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * value for value in interval))
             )
-            for run, _, difference in _pairs(results, to, name)
+            for _, other, interval, of in _differences(results, to, name)
         }
         for title, name in SPLIT_TITLES.items()
     }
@@ -113,17 +158,18 @@ def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.Dat
 def nearest_to_rocks(
     results: Path = RESULTS, first: str = "hrl_dcs", second: str = "hrl_dcs_no_aapf", name: str = "evaluation"
 ) -> pd.DataFrame:
-    """Return how near two methods' joints come to rocks: means over scenes with rocks, and the paired difference [m].
+    """Return how near two methods' joints come to rocks: means over scenes with rocks, and the difference [m].
 
-    Of both methods it is the first seed; ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    Intervals are over all trainings and scenes; ``name`` is ``evaluation`` for test scenes, ``heldout`` for others.
     """
-    runs = {run.method: run.rows(name) for run in reversed(reference_runs(results))}  # the first seed stays
-    ours, theirs = runs.get(first), runs.get(second)
-    near = pd.DataFrame()
-    if ours is not None and theirs is not None and same_scenes(ours, theirs):
-        near = pd.DataFrame({first: ours["nearest_mark"], second: theirs["nearest_mark"]}).dropna()
-        near[f"{first} - {second}"] = near[first] - near[second]
-    rows = [(key, len(near), *mean_interval(near[key])) for key in near]
+    pools, rows = read_pools(results, name), []
+    if first in pools and second in pools and pools[first].scenes == pools[second].scenes:
+        near = [pools[method].values("nearest_mark") for method in (first, second)]
+        with_rocks = np.isfinite(np.concatenate(near)).all(axis=0)
+        ours, theirs = (marks[:, with_rocks] for marks in near)
+        if with_rocks.any():
+            cases = {first: (ours, None), second: (theirs, None), f"{first} - {second}": (ours, theirs)}
+            rows = [(key, int(with_rocks.sum()), *crossed_interval(*case)) for key, case in cases.items()]
     columns = ["nearest mark point of", "scenes with rocks", "mean", "low", "high"]
     return pd.DataFrame(rows, columns=columns).set_index(columns[0])
 
@@ -193,6 +239,8 @@ def write_tables(results: Path = RESULTS) -> list[Path]:
         "success": pd.DataFrame(success),
         "conditions": pd.concat(conditions) if conditions else pd.DataFrame(),
         "failures": pd.DataFrame(failures),
+        "methods": methods_table(results),
+        "levels": levels_table(results),
         "paired_test": paired_differences(results).reset_index(),
         "paired_heldout": paired_differences(results, name="heldout").reset_index(),
     }

@@ -1,80 +1,110 @@
-"""Put the trainings of a method together: their tests, the returns that they end with and how fast they converge."""
+"""Put the trainings of a method together: their tests, the returns that they end with and how fast they succeed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from reproduce.analysis.intervals import mean_interval
+from reproduce.analysis.intervals import Outcomes, success_interval
 from reproduce.analysis.runs import Run, reference_runs
-from reproduce.experiments.rows import wilson
+from reproduce.storage.errors import UserError
+from reproduce.storage.paths import RESULTS
 
-CONVERGED = 0.9  # share of the way up
 SMOOTHING = 20  # updates in a running mean
-MARGIN = 0.05  # of the larger: what returns or steps must differ by
+LEVELS = (0.5, 0.8, 0.9)  # success while training, fixed before any run: a share of one's own plateau rewards low ones
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The evaluated trainings of a method together."""
+    """The trainings of a method that one evaluation tested."""
 
     method: str
     runs: tuple[Run, ...]
+    name: str = "evaluation"  # of the evaluation
+
+    def __post_init__(self) -> None:
+        tests = [list(rows["seed"]) for rows in self._tables.values()]
+        if any(seeds != tests[0] for seeds in tests):
+            sizes = ", ".join(str(len(seeds)) for seeds in tests)
+            raise UserError(
+                f"{self.method}: {self.name}: expected the same scenes for all trainings, got {sizes} tests"
+            )
+
+    @cached_property
+    def _tables(self) -> dict[int, pd.DataFrame]:
+        return {run.seed: rows for run in self.runs if (rows := run.rows(self.name)) is not None}
 
     @cached_property
     def rows(self) -> pd.DataFrame:
         """Return the tests of all trainings, with the column ``training`` beside those of ``SceneRow``."""
-        tables = {run.seed: run.rows() for run in self.runs}
-        return pd.concat(tables, names=["training"]).reset_index("training")
+        return pd.concat(self._tables, names=["training"]).reset_index("training")
+
+    @cached_property
+    def outcomes(self) -> Outcomes:
+        """Return whether each training rescued in each scene, (trainings, scenes)."""
+        return np.stack([rows["success"].to_numpy(dtype=bool) for rows in self._tables.values()])
 
     @property
-    def rates(self) -> pd.Series[float]:
+    def scenes(self) -> list[int]:
+        """Return the seeds of the scenes, which all trainings met."""
+        return list(self._tables[self.runs[0].seed]["seed"])
+
+    @property
+    def rates(self) -> list[float]:
         """Return the success rate of each training."""
-        return self.rows.groupby("training")["success"].mean()
+        return [float(rate) for rate in self.outcomes.mean(axis=1)]
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """Return Wilson's interval of all tests; for several trainings Student's of their rates where it is wider."""
-        low, high = wilson(int(self.rows["success"].sum()), len(self.rows))
-        if len(self.runs) > 1:
-            _, lower, higher = mean_interval(self.rates)
-            low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
-        return low, high
+    def success(self) -> tuple[float, float, float]:
+        """Return the success rate with its 95 % interval: of new trainings, or for a single one Wilson's."""
+        return success_interval(self.outcomes)
+
+    @property
+    def results(self) -> Path:
+        """Return the results folder that its runs lie in."""
+        return self.runs[0].folder.parents[2]
+
+    def values(self, column: str) -> NDArray[np.float64]:
+        """Return a column of numbers of the rows, (trainings, scenes); an empty cell is NaN."""
+        return np.stack([rows[column].to_numpy(dtype=float) for rows in self._tables.values()])
 
     @property
     def env_steps(self) -> int:
         """Return the environment steps of the shortest training."""
         return min(run.env_steps for run in self.runs)
 
+    @cached_property
+    def curves(self) -> list[pd.DataFrame]:
+        """Return the learning curves of those trainings that have one."""
+        return [curve for run in self.runs if (curve := run.curve()) is not None]
+
     @property
     def returns(self) -> list[float]:
         """Return each training's return in the end; trainings without a curve are left out."""
-        return [final_return(curve) for run in self.runs if (curve := run.curve()) is not None]
-
-    @property
-    def steps(self) -> list[float | None]:
-        """Return each training's environment steps to converge, None where it has not."""
-        return [steps_to_converge(curve) for run in self.runs if (curve := run.curve()) is not None]
+        return [final_return(curve) for curve in self.curves]
 
     def words(self) -> str:
-        """Return the success rate with its interval in words."""
-        return f"{self.method} {percent(self.rows['success'].mean(), self.interval)}"
+        """Return the success rate with its interval, and every training's, in words."""
+        each = ", ".join(f"{100 * rate:.1f}" for rate in self.rates)
+        return f"{self.method} {percent(*self.success)}" + (f" ({each})" if len(self.runs) > 1 else "")
 
 
-def percent(rate: float, interval: tuple[float, float]) -> str:
+def percent(rate: float, low: float, high: float) -> str:
     """Return a rate and its interval in words."""
-    low, high = interval
     return f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def read_pools(results: Path) -> dict[str, Pool]:
-    """Return the evaluated runs of each method."""
-    runs = (run for run in reference_runs(results) if run.evaluation)
-    return {method: Pool(method, tuple(group)) for method, group in groupby(runs, key=lambda run: run.method)}
+def read_pools(results: Path = RESULTS, name: str = "evaluation") -> dict[str, Pool]:
+    """Return the runs of each method that an evaluation tested; trainings of other scenes are a ``UserError``."""
+    runs = (run for run in reference_runs(results) if run.summary(name))
+    return {method: Pool(method, tuple(group), name) for method, group in groupby(runs, key=lambda run: run.method)}
 
 
 def smooth(values: pd.Series[float]) -> pd.Series[float]:
@@ -87,12 +117,24 @@ def final_return(curve: pd.DataFrame) -> float:
     return float(curve["return_high"].tail(max(1, len(curve) // 20)).mean())
 
 
-def steps_to_converge(curve: pd.DataFrame) -> float | None:
-    """Return environment steps until the smoothed return has come 90 % of its way up; None where it did not rise."""
-    means = smooth(curve["return_high"])
-    first, last = float(means.iloc[0]), final_return(curve)
-    spread = float(curve["return_high"].tail(max(2, len(curve) // 20)).std())
-    if not last - first > max(MARGIN * max(abs(first), abs(last)), spread):
-        return None
-    beyond = curve["env_steps"][means - first >= CONVERGED * (last - first)]
-    return float(beyond.iloc[0] if len(beyond) else curve["env_steps"].iloc[-1])
+def steps_to(curve: pd.DataFrame, level: float) -> float:
+    """Return environment steps until success while training reaches a level; inf if it never does.
+
+    It is a mean of 20 updates, those in which no episode ended left out.
+    """
+    told = curve[["env_steps", "success"]].dropna()
+    reached = told["env_steps"][told["success"].rolling(SMOOTHING).mean() >= level]
+    return float(reached.iloc[0]) if len(reached) else float("inf")
+
+
+def horizon(pools: Sequence[Pool]) -> float:
+    """Return the environment steps that every training of some methods has taken."""
+    return float(min(curve["env_steps"].iloc[-1] for pool in pools for curve in pool.curves))
+
+
+def restricted_steps(pool: Pool, most: float) -> NDArray[np.float64]:
+    """Return steps to each level of success, ``most`` where one is not reached by then, (trainings, levels).
+
+    Their mean over trainings is the restricted mean: it is defined where some never get there, and none is left out.
+    """
+    return np.array([[min(steps_to(curve, level), most) for level in LEVELS] for curve in pool.curves])

@@ -106,13 +106,13 @@ def read_rows(path: Path) -> pd.DataFrame:
     return as_table(rows)
 
 
-def wilson(successes: int, tests: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a success rate; (0, 1) without tests."""
+def wilson(successes: int, tests: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return Wilson's interval of a success rate, 95 % unless told otherwise; (0, 1) without tests."""
     if not 0 <= successes <= tests:
         raise ValueError(f"wilson: expected 0 <= successes <= tests, got {successes} of {tests}")
     if tests == 0:
         return 0.0, 1.0
-    interval = binomtest(successes, tests).proportion_ci(confidence_level=CONFIDENCE, method="wilson")
+    interval = binomtest(successes, tests).proportion_ci(confidence_level=confidence, method="wilson")
     return float(interval.low), float(interval.high)
 
 

@@ -12,9 +12,10 @@ from typing import Any
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
-from reproduce.analysis.claims import ENOUGH_SEEDS, compute_claims
+from reproduce.analysis.claims import compute_claims
 from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import readable_table1
+from reproduce.analysis.verdicts import LEAST_TRAININGS
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
 from reproduce.report.notebook import Page, fill_in, notebook_page
@@ -26,8 +27,18 @@ from reproduce.storage.provenance import provenance
 
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
 DOCUMENTS = (
-    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "extending", "cluster"),
-    "report",
+    *(
+        "environment",
+        "library",
+        "learners",
+        "api",
+        "training",
+        "training_log",
+        "assumptions",
+        "statistics",
+        "extending",
+    ),
+    *("cluster", "report"),
 )
 PICTURE = ROOT / "docs" / "rescue.png"
 REPLAYS = "replays"
@@ -127,7 +138,7 @@ def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:
         runs=runs,
         trained=trained,
         seeds=list(Counter(run.method for run in trained).values()),
-        enough_seeds=ENOUGH_SEEDS,
+        least_trainings=LEAST_TRAININGS,
         methods=METHODS,
         table1=readable_table1(results),
         claims=compute_claims(results),
