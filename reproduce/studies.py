@@ -96,6 +96,19 @@ def agreement(
 
 
 @app.command()
+def rules(
+    repeats: Annotated[int, typer.Option(min=1, help="simulated experiments of each case")] = 10_000,
+    out: Annotated[
+        Path | None, typer.Option(parser=console.as_file, metavar="FILE", help="results/rules.csv without it")
+    ] = None,
+) -> None:
+    """Measure how often the claims' rules are wrong, on simulated trainings whose truth is known."""
+    from reproduce.analysis.rule_errors import measure_rules
+
+    measure_rules(repeats, out, tell=typer.echo)
+
+
+@app.command()
 def crate(
     folder: Annotated[
         Path | None, typer.Option(parser=console.as_path, metavar="DIR", help="results/ without it")

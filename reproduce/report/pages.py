@@ -23,6 +23,7 @@ from lunar_rescue.scenes import rocks, scene, terrain
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.splits import HELD_OUT, SPLITS
 from reproduce.analysis.claims import compute_claims
+from reproduce.analysis.rule_errors import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
@@ -109,11 +110,18 @@ def _agreement() -> dict[str, Any]:
     return {"agreement": _result("agreement/summary.json"), "cases": cases, "settings": SIMULATORS}
 
 
+def _statistics() -> dict[str, Any]:
+    """Return how often each rule of the claims is wrong, or None where that was not measured."""
+    table = read_rules()
+    return {"rules": table, "readable": None if table is None else readable_rules(table)}
+
+
 #: Page and what computes the data of its template.
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
     "docs/simulators.md": _agreement,
+    "docs/statistics.md": _statistics,
     "docs/api.md": lambda: {"parts": reference()},
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }
