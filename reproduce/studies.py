@@ -97,7 +97,7 @@ def agreement(
 
 @app.command()
 def rules(
-    repeats: Annotated[int, typer.Option(min=1, help="simulated experiments of each case")] = 10_000,
+    repeats: Annotated[int, typer.Option(min=1, help="simulated experiments of each case")] = 4000,
     out: Annotated[
         Path | None, typer.Option(parser=console.as_file, metavar="FILE", help="results/rules.csv without it")
     ] = None,

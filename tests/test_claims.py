@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +19,7 @@ from reproduce.analysis.stressed import read_stress
 from reproduce.analysis.trainings import final_return, steps_to
 from reproduce.analysis.verdicts import is_below, is_figure, is_larger, is_more, is_smaller_share, keeps_all, serves_all
 from reproduce.storage.errors import UserError
+from reproduce.storage.paths import ROOT
 
 RunFolder = Callable[..., Path]
 
@@ -142,9 +147,6 @@ def test_five_trainings_give_verdicts(run_folder: RunFolder, tmp_path: Path) -> 
 
 
 def told_by(tell: Callable[[list[Claim]], None], claims: list[Claim]) -> str:
-    import contextlib
-    import io
-
     with contextlib.redirect_stdout(io.StringIO()) as text:
         tell(claims)
     return text.getvalue()
@@ -224,6 +226,16 @@ def test_sac_is_to_be_fast_low_and_unsuccessful(
     curves(folder, "hrl_dcs", [39, 40, 41], 9.0)
     curves(folder, "sac", [rise, rise + 1, rise + 2], final)
     assert judged(folder)["C1"].verdict == verdict
+
+
+def test_the_documented_commands_give_the_claimed_number(run_folder: RunFolder, tmp_path: Path) -> None:
+    folder = results(run_folder, tmp_path / "results", {"hrl_dcs": five(985)})
+    write_claims(compute_claims(folder), folder / "claims.json")
+    page = (ROOT / "docs" / "statistics.md").read_text(encoding="utf-8").splitlines()
+    by_hand, claimed = (next(line for line in page if line.startswith(word)) for word in ("awk ", "python -c"))
+    for command in (by_hand, claimed.replace("python", sys.executable, 1)):
+        done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert float(done.stdout) == pytest.approx(0.985)
 
 
 # -- C8 ----------------------------------------------------------------------------------------------------------------

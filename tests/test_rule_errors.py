@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from reproduce.analysis.rule_errors import Case, cases, count, measure_rules, read_rules, readable_rules
+from reproduce.analysis.rule_errors import (
+    Case,
+    cases,
+    count,
+    measure_rules,
+    read_rules,
+    readable_rules,
+    summarise_rules,
+)
 from reproduce.analysis.simulated import Method, World, centre, experiment, spread
 
 
@@ -54,3 +63,10 @@ def test_the_table_is_written_with_its_origin(tmp_path: Path) -> None:
     assert "rules.csv" in json.loads((tmp_path / "origins.json").read_text())
     assert read_rules(tmp_path / "nothing.csv") is None
     assert set(readable_rules(written)["holds"]) == {"yes", "no", ""}
+    told = written.assign(share=0.5, holds=written["holds"].astype(object).where(written["holds"].isna(), "True"))
+    first: Any = told["holds"].notna().idxmax()
+    told.loc[first, "share"], told.loc[first, "holds"] = 0.25, "False"
+    row = summarise_rules(told).iloc[0]
+    assert row[["bar", "share of experiments"]].tolist() == ["93 to 97 %", "25.0 to 50.0 %"]
+    holding, number = map(int, row["bars that hold"].split(" of "))
+    assert holding == number - 1 and number > 10

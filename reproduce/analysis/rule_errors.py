@@ -41,7 +41,7 @@ COVERAGE = (0.93, 0.97)  # bars for intervals of nominal 95 %
 ERROR, POWER = (0.0, 0.05), (0.6, 1.0)  # bars for wrong verdicts, and for right ones
 PAPER = 0.986
 COLUMNS = ["rule", "truth", "trainings", "counted", "share", "low", "high", "at_least", "at_most", "holds", "repeats"]
-REPEATS, SEED = 10_000, 20_220_610
+REPEATS, SEED = 4000, 20_220_610
 FILE = COMMITTED / "rules.csv"
 
 
@@ -272,3 +272,15 @@ def readable_rules(table: pd.DataFrame) -> pd.DataFrame:
     shares = [percent(*row) for row in table[["share", "low", "high"]].itertuples(index=False)]
     words = [{"True": "yes", "False": "no"}.get(str(holds), "") for holds in table["holds"]]
     return table[["rule", "truth", "trainings", "counted"]].assign(share=shares, bar=bars, holds=words)
+
+
+def summarise_rules(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a row a rule and what is counted, of cases with a bar: least and greatest share, bars that hold."""
+    barred, rows = table[table["holds"].notna()], []
+    for (rule, counted), group in barred.groupby(["rule", "counted"], sort=False):
+        least, most = 100 * group["at_least"].iloc[0], 100 * group["at_most"].iloc[0]
+        shares = f"{100 * group['share'].min():.1f} to {100 * group['share'].max():.1f} %"
+        holding = int((group["holds"].astype(str) == "True").sum())
+        rows.append((rule, counted, f"{least:.0f} to {most:.0f} %", shares, f"{holding} of {len(group)}"))
+    columns = ["rule", "counted", "bar", "share of experiments", "bars that hold"]
+    return pd.DataFrame(rows, columns=columns).set_index("rule")
