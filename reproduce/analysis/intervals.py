@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit, logit
 from scipy.stats import norm, t
@@ -20,6 +21,11 @@ from reproduce.experiments.rows import CONFIDENCE, wilson
 Outcomes = NDArray[np.bool_]  # (trainings, scenes), whether a rescue succeeded
 Values = NDArray[np.float64]
 Interval = tuple[float, float, float]  # estimate, lower and upper end
+
+
+def same_scenes(first: pd.DataFrame | None, second: pd.DataFrame | None) -> bool:
+    """Return whether two evaluations' rows are of the same scenes, so that their tests are pairs."""
+    return first is not None and second is not None and list(first["seed"]) == list(second["seed"])
 
 
 def success_interval(outcomes: Outcomes, confidence: float = CONFIDENCE) -> Interval:

@@ -269,7 +269,8 @@ def readable_rules(table: pd.DataFrame) -> pd.DataFrame:
         "-" if np.isnan(least) else f"{100 * least:.0f} to {100 * most:.0f} %"
         for least, most in zip(table["at_least"], table["at_most"], strict=True)
     ]
-    shares = [percent(*row) for row in table[["share", "low", "high"]].itertuples(index=False)]
+    columns = (table[name].astype(float) for name in ("share", "low", "high"))
+    shares = [percent(share, (low, high)) for share, low, high in zip(*columns, strict=True)]
     words = [{"True": "yes", "False": "no"}.get(str(holds), "") for holds in table["holds"]]
     return table[["rule", "truth", "trainings", "counted"]].assign(share=shares, bar=bars, holds=words)
 

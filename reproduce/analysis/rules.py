@@ -131,7 +131,8 @@ def serves_every_posture(pool: Pool) -> Part:
     lies = pool.rows["posture"].to_numpy()[: len(pool.scenes)]
     groups = {str(name): pool.outcomes[:, lies == name] for name in sorted(set(lies))}
     weakest, found = serves_all(groups)
-    words = f"weakest of {len(groups)} postures {weakest}: {percent(*found[1:])}, served is {100 * SERVED:.0f} %"
+    rate = percent(found.value, found[2:])
+    words = f"weakest of {len(groups)} postures {weakest}: {rate}, served is {100 * SERVED:.0f} %"
     verdict = found.verdict
     if missing := sorted(set(postures()) - set(groups)):
         verdict, words = "undecided", f"{words}, no test of {', '.join(missing)}"
@@ -147,7 +148,7 @@ def keeps_success(pool: Pool) -> Part:
         words = f"results/stress/{path.name} tells of no success, of no other engine or of no middle severity"
         return Part(words, "undecided", {"measured": None, "low": None, "high": None})
     worst, found = keeps_all(told[0], told[1])
-    kept = f"{percent(*found[1:])}, enough is {100 * KEPT:.0f} %"
+    kept = f"{percent(found.value, found[2:])}, enough is {100 * KEPT:.0f} %"
     words = f"of {int(told[0].sum())} rescues kept least under {worst}: {kept}"
     each = ", ".join(f"{name} {100 * after.sum() / told[0].sum():.0f} %" for name, after in told[1].items())
     return Part(f"{words} ({each})", found.verdict, _figures(found[1:]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.analysis.intervals import Interval, crossed_interval, paired_difference, success_difference
 from reproduce.analysis.runs import Run, reference_runs
-from reproduce.analysis.trainings import LEVELS, Pool, horizon, percent, read_pools, steps_to
+from reproduce.analysis.trainings import LEVELS, Pool, horizon, read_pools, steps_to
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import wilson
@@ -54,9 +54,9 @@ def readable_table1(results: Path = RESULTS) -> pd.DataFrame:
             {
                 "method": method.title,
                 "paper, 1000 tests": _percent(method.paper_success) if method.paper_success else "-",
-                "ours, success [95 % interval]": percent(*pool.success) if pool else "no run in results/ yet",
+                "ours, success [95 % interval]": pool.rate_words if pool else "no run in results/ yet",
                 "each training": _join(f"{100 * rate:.1f}" for rate in pool.rates) if pool and method.learns else "",
-                "held out": percent(*held.success) if held else ("-" if pool else ""),
+                "held out": held.rate_words if held else ("-" if pool else ""),
                 "rescued gently": _percent(float(_gentle(pool).mean())) if pool else "",
                 "tests": str(len(pool.scenes)) if pool else "",
                 "env steps": _join(sorted({f"{run.env_steps:,}" for run in runs})),

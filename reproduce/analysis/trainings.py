@@ -67,6 +67,11 @@ class Pool:
         return success_interval(self.outcomes)
 
     @property
+    def interval(self) -> tuple[float, float]:
+        """Return the ends of the interval of the success rate."""
+        return self.success[1:]
+
+    @property
     def results(self) -> Path:
         """Return the results folder that its runs lie in."""
         return self.runs[0].folder.parents[2]
@@ -90,14 +95,20 @@ class Pool:
         """Return each training's return in the end; trainings without a curve are left out."""
         return [final_return(curve) for curve in self.curves]
 
+    @property
+    def rate_words(self) -> str:
+        """Return the success rate with its interval in words."""
+        return percent(self.success[0], self.interval)
+
     def words(self) -> str:
-        """Return the success rate with its interval, and every training's, in words."""
+        """Return method, success rate with its interval, and every training's, in words."""
         each = ", ".join(f"{100 * rate:.1f}" for rate in self.rates)
-        return f"{self.method} {percent(*self.success)}" + (f" ({each})" if len(self.runs) > 1 else "")
+        return f"{self.method} {self.rate_words}" + (f" ({each})" if len(self.runs) > 1 else "")
 
 
-def percent(rate: float, low: float, high: float) -> str:
+def percent(rate: float, interval: tuple[float, float]) -> str:
     """Return a rate and its interval in words."""
+    low, high = interval
     return f"{100 * rate:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
 
