@@ -16,9 +16,17 @@ from numpy.random import Generator
 from scipy.special import expit
 from scipy.stats import ttest_1samp
 
-from reproduce.analysis.intervals import success_difference, success_interval
-from reproduce.analysis.simulated import Method, World, centre, experiment, spread
-from reproduce.analysis.trainings import percent
+from reproduce.analysis.intervals import Outcomes, success_difference, success_interval
+from reproduce.analysis.rule_tables import COLUMNS, FILE
+from reproduce.analysis.simulated import (
+    Method,
+    World,
+    beta_trainings,
+    centre,
+    experiment,
+    failing_trainings,
+    spread,
+)
 from reproduce.analysis.verdicts import (
     KEPT,
     MARGIN,
@@ -34,15 +42,12 @@ from reproduce.analysis.verdicts import (
     serves_all,
 )
 from reproduce.experiments.rows import CONFIDENCE, wilson
-from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import write_table
 
 COVERAGE = (0.93, 0.97)  # bars for intervals of nominal 95 %
 ERROR, POWER = (0.0, 0.05), (0.6, 1.0)  # bars for wrong verdicts, and for right ones
 PAPER = 0.986
-COLUMNS = ["rule", "truth", "trainings", "counted", "share", "low", "high", "at_least", "at_most", "holds", "repeats"]
 REPEATS, SEED = 4000, 20_220_610
-FILE = COMMITTED / "rules.csv"
 
 
 class Case(NamedTuple):
@@ -66,6 +71,11 @@ def _covered_by_rates(rng: Generator, world: World, method: Method) -> bool:
     rates = experiment(rng, world, method)[0].mean(axis=1)
     interval = ttest_1samp(rates, 0.0).confidence_interval(CONFIDENCE)
     return bool(interval.low <= method.rate <= interval.high)
+
+
+def _covered_otherwise(rng: Generator, draw: Callable[[Generator], Outcomes], rate: float) -> bool:
+    _, low, high = success_interval(draw(rng))
+    return low <= rate <= high
 
 
 def _difference_covered(rng: Generator, world: World, first: Method, second: Method) -> bool:
@@ -144,6 +154,19 @@ def _coverage() -> Iterator[Case]:
         if method.trainings == 5 and method.rate == 0.92:
             happens = partial(_covered_by_rates, world=world, method=method)
             yield Case("Student's t of rates alone", truth, "5", "covers the truth", happens)
+
+
+def _other_families() -> Iterator[Case]:
+    """Yield trainings that are not what the intervals were made for."""
+    for rate, points in ((0.92, 2), (0.92, 4), (PAPER, 1)):
+        draw = partial(beta_trainings, rate=rate, points=points)
+        truth = f"{100 * rate:.1f} %, rates of trainings beta, sd {points} points"
+        happens = partial(_covered_otherwise, draw=draw, rate=rate)
+        yield Case("interval of a method", truth, "5", "covers the truth", happens, COVERAGE)
+    draw = partial(failing_trainings, good=0.95, bad=0.65, share=0.1)
+    happens = partial(_covered_otherwise, draw=draw, rate=0.92)
+    truth = "92.0 %, one training in ten ends with 65 %, all others with 95 %"
+    yield Case("interval of a method", truth, "5", "covers the truth", happens, COVERAGE)
 
 
 def _differences() -> Iterator[Case]:
@@ -226,7 +249,7 @@ def _others() -> Iterator[Case]:
 
 def cases() -> list[Case]:
     """Return all cases, in the order of the table."""
-    return [*_coverage(), *_differences(), *_figures(), *_others()]
+    return [*_coverage(), *_other_families(), *_differences(), *_figures(), *_others()]
 
 
 def count(case: Case, repeats: int, number: int = 0) -> dict[str, Any]:
@@ -255,33 +278,3 @@ def measure_rules(
     table = pd.DataFrame(rows, columns=COLUMNS)
     write_table(path or FILE, table)
     return table
-
-
-def read_rules(path: Path | None = None) -> pd.DataFrame | None:
-    """Return the table that ``reproduce rules`` wrote, or None where there is none."""
-    file = path or FILE
-    return pd.read_csv(file) if file.is_file() else None
-
-
-def readable_rules(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table for people: shares and bars in %, and a word for each."""
-    bars = [
-        "-" if np.isnan(least) else f"{100 * least:.0f} to {100 * most:.0f} %"
-        for least, most in zip(table["at_least"], table["at_most"], strict=True)
-    ]
-    columns = (table[name].astype(float) for name in ("share", "low", "high"))
-    shares = [percent(share, (low, high)) for share, low, high in zip(*columns, strict=True)]
-    words = [{"True": "yes", "False": "no"}.get(str(holds), "") for holds in table["holds"]]
-    return table[["rule", "truth", "trainings", "counted"]].assign(share=shares, bar=bars, holds=words)
-
-
-def summarise_rules(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row a rule and what is counted, of cases with a bar: least and greatest share, bars that hold."""
-    barred, rows = table[table["holds"].notna()], []
-    for (rule, counted), group in barred.groupby(["rule", "counted"], sort=False):
-        least, most = 100 * group["at_least"].iloc[0], 100 * group["at_most"].iloc[0]
-        shares = f"{100 * group['share'].min():.1f} to {100 * group['share'].max():.1f} %"
-        holding = int((group["holds"].astype(str) == "True").sum())
-        rows.append((rule, counted, f"{least:.0f} to {most:.0f} %", shares, f"{holding} of {len(group)}"))
-    columns = ["rule", "counted", "bar", "share of experiments", "bars that hold"]
-    return pd.DataFrame(rows, columns=columns).set_index("rule")

@@ -56,3 +56,17 @@ def experiment(rng: Generator, world: World, *methods: Method) -> list[Outcomes]
         odds = middle + method.spread * rng.standard_normal((method.trainings, 1)) + shared + own
         tests.append(rng.random(odds.shape) < expit(odds))
     return tests
+
+
+def beta_trainings(rng: Generator, rate: float, points: float, trainings: int = 5, scenes: int = 1000) -> Outcomes:
+    """Return outcomes of trainings whose rates are beta-distributed with an sd of so many points: no log-odds here."""
+    total = rate * (1.0 - rate) / (points / 100) ** 2 - 1.0
+    return rng.random((trainings, scenes)) < rng.beta(rate * total, (1.0 - rate) * total, (trainings, 1))
+
+
+def failing_trainings(
+    rng: Generator, good: float, bad: float, share: float, trainings: int = 5, scenes: int = 1000
+) -> Outcomes:
+    """Return outcomes of trainings of which a share goes wrong and ends with another rate."""
+    rates = np.where(rng.random((trainings, 1)) < share, bad, good)
+    return rng.random((trainings, scenes)) < rates

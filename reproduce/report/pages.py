@@ -23,7 +23,7 @@ from lunar_rescue.scenes import rocks, scene, terrain
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.splits import HELD_OUT, SPLITS
 from reproduce.analysis.claims import compute_claims
-from reproduce.analysis.rule_errors import read_rules, readable_rules
+from reproduce.analysis.rule_tables import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
