@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from reproduce.analysis.rule_errors import Case, cases, count, measure_rules
 from reproduce.analysis.rule_tables import read_rules, readable_rules, summarise_rules
 from reproduce.analysis.simulated import Method, World, beta_trainings, centre, experiment, failing_trainings, spread
+from reproduce.storage.paths import COMMITTED
 
 
 def test_log_odds_have_the_mean_success_that_was_asked_for() -> None:
@@ -70,3 +72,17 @@ def test_the_table_is_written_with_its_origin(tmp_path: Path) -> None:
     assert row[["bar", "share of experiments"]].tolist() == ["93 to 97 %", "25.0 to 50.0 %"]
     holding, number = map(int, row["bars that hold"].split(" of "))
     assert holding == number - 1 and number > 10
+
+
+def test_the_committed_table_is_of_these_cases_and_holds_the_stated_bars() -> None:
+    """Else run ``reproduce rules``. Bars are typed here: coverage, a difference of 10 points, none."""
+    table = pd.read_csv(COMMITTED / "rules.csv")
+    keys = ["rule", "truth", "trainings", "counted"]
+    assert [tuple(map(str, row)) for row in table[keys].itertuples(index=False)] == [c[:4] for c in cases()]
+    assert table["repeats"].min() >= 4000
+    five = table[table["rule"].str.startswith("interval") & table["truth"].str.contains("sd 0.2|sd 0.5|sd 5 points")]
+    five = five[five["trainings"].isin(["5", "5, 5"])]
+    assert len(five) > 15 and five["share"].between(0.93, 0.97).all()
+    more = table[table["rule"] == "succeeds more"].set_index("truth")["share"]
+    assert more["85 % and 75 %, sd 5 points, scenes sd 0, tastes 0"] >= 0.60
+    assert more[more.index.str.contains("both")].max() <= 0.05
