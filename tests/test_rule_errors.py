@@ -70,6 +70,9 @@ def test_the_table_is_written_with_its_origin(tmp_path: Path) -> None:
     told.loc[first, "share"], told.loc[first, "holds"] = 0.25, "False"
     row = summarise_rules(told).iloc[0]
     assert row[["bar", "share of experiments"]].tolist() == ["93 to 97 %", "25.0 to 50.0 %"]
+    # What is right and what is wrong are rows of their own, also where the same word tells them.
+    figure = summarise_rules(told).loc["is the paper's figure"]
+    assert set(map(tuple, figure[["counted", "bar"]].to_numpy())) >= {("agrees", "0 to 5 %"), ("agrees", "60 to 100 %")}
     holding, number = map(int, row["bars that hold"].split(" of "))
     assert holding == number - 1 and number > 10
 

@@ -35,7 +35,7 @@ def readable_rules(table: pd.DataFrame) -> pd.DataFrame:
 def summarise_rules(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row a rule and what is counted, of cases with a bar: least and greatest share, bars that hold."""
     barred, rows = table[table["holds"].notna()], []
-    for (rule, counted), group in barred.groupby(["rule", "counted"], sort=False):
+    for (rule, counted, _), group in barred.groupby(["rule", "counted", "at_least"], sort=False):
         least, most = 100 * group["at_least"].iloc[0], 100 * group["at_most"].iloc[0]
         shares = f"{100 * group['share'].min():.1f} to {100 * group['share'].max():.1f} %"
         holding = int((group["holds"].astype(str) == "True").sum())
