@@ -96,6 +96,26 @@ def agreement(
 
 
 @app.command()
+def stress(
+    run: console.Policy,
+    tests: console.Tests = 200,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+    out: Annotated[Path | None, console.folder("folder to write; results/stress without it")] = None,
+    json: console.JsonFile = None,
+) -> None:
+    """Measure success against noise, delay, errors and in the other simulator; writes METHOD.csv and METHOD.json."""
+    from reproduce.experiments.methods import check_actor
+
+    check_actor(run)
+    from reproduce.experiments.pool import first_scene
+    from reproduce.experiments.stress import FOLDER
+    from reproduce.experiments.stress import stress as measure
+
+    measure(run, tests, first_scene(split, first_seed, typer.echo), folder=out or FOLDER, json=json, tell=typer.echo)
+
+
+@app.command()
 def crate(
     folder: Annotated[
         Path | None, typer.Option(parser=console.as_path, metavar="DIR", help="results/ without it")

@@ -43,9 +43,9 @@ def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method,
     return method, ablated(policy, ablation, method.name)
 
 
-def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
-    """Act out one rescue and return the scene's row, as ``rows.SceneRow``."""
-    observation, _ = env.reset_flat(options={"scene": scene})
+def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any) -> dict[str, Any]:
+    """Act out one rescue and return the scene's row, as ``rows.SceneRow``; ``options`` are more of the reset."""
+    observation, _ = env.reset_flat(options={"scene": scene, **options})
     if hasattr(policy, "prepare"):  # the planner knows the scene
         policy.prepare(scene)
     start, total, done = np.array([True]), 0.0, False
