@@ -25,6 +25,9 @@ def train(
     steps: Annotated[int | None, typer.Option(min=1, help="environment steps instead of the preset's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes: one posture, no rocks, light astronaut")] = False,
+    randomise: Annotated[
+        bool, typer.Option("--randomise", help="draw physics, delay and gains anew each episode")
+    ] = False,
     tensorboard: Annotated[Path | None, console.folder("for TensorBoard's logs, too")] = None,
     as_needed: Annotated[bool, typer.Option("--as-needed", help=console.AS_NEEDED)] = False,
 ) -> None:
@@ -42,7 +45,8 @@ def train(
     from reproduce.experiments import train as training  # PyTorch takes seconds, which a mistake need not wait for
 
     config = entry.config(preset)
-    config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
+    priors = replace(config.priors, randomise=True) if randomise else config.priors
+    config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes, priors=priors)
     if as_needed:
         training.train_as_needed(entry, config, seed, out, preset)
     else:

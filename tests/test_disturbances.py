@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.arrays import Array, Floats
@@ -17,6 +19,9 @@ from lunar_rescue.observation import SLICES
 from lunar_rescue.physics.engines import SIMULATORS
 from lunar_rescue.scenes.scene import MASS_RANGE
 from lunar_rescue.scenes.splits import VALIDATION
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.presets import PRESETS
+from reproduce.learning.workers import EnvOptions, WorkerVecEnv
 
 SEED = VALIDATION.start
 
@@ -254,3 +259,31 @@ def test_errors_grow_with_severity() -> None:
         offsets = [disturbance(scene, "payload", s).offset for s in SEVERITIES]
         assert [abs(o[2]) for o in offsets if o] == pytest.approx([0.02, 0.05, 0.10])
         assert len({np.sign(o[2]) for o in offsets if o}) == 1
+
+
+# -- trainings ---------------------------------------------------------------------------------------------------------
+def rollout(randomise: bool) -> Array:
+    """Return the rewards (30, 2) of two training environments that hold a fixed action, two thirds of them moving."""
+    venv = WorkerVecEnv(2, 0, EnvOptions({"max_steps": 15}, randomise=randomise), workers=1)
+    try:
+        venv.reset()
+        action = np.tile(np.linspace(-0.5, 0.5, 11, dtype=np.float32), (2, 1))
+        return np.array([venv.step(action)[1] for _ in range(30)])
+    finally:
+        venv.close()
+
+
+@pytest.mark.process
+def test_training_episodes_are_randomised_where_asked_for_and_repeat() -> None:
+    plain, randomised_once, again = rollout(False), rollout(True), rollout(True)
+    assert np.array_equal(randomised_once, again)
+    assert (plain[:15] != randomised_once[:15]).any(axis=0).all(), "the first episode of each"
+    assert (plain[15:] != randomised_once[15:]).any(axis=0).all(), "and the second"
+
+
+def test_randomising_is_a_prior_that_is_off_and_needs_episodes(tmp_path: Path) -> None:
+    for name, method in METHODS.items():
+        if method.learns:
+            assert all(method.config(preset).priors.randomise is False for preset in PRESETS), name
+    refused = call("train", "ppo_lstm_demos", "--preset", "smoke", "--randomise", "--out", str(tmp_path / "run"))
+    assert refused.code == 2 and "priors.randomise" in refused.complaint and not (tmp_path / "run").exists()
