@@ -60,7 +60,7 @@ def test_each_kind_is_tried_at_three_severities_and_once_without(monkeypatch: py
 
 
 @pytest.mark.process
-def test_a_small_study(tmp_path: Path) -> None:
+def test_a_small_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     summary = stress("scripted", 3, SEED, folder=tmp_path / "a", kinds=("delay", "torque"), tell=lambda _: None)
     rows = pd.read_csv(tmp_path / "a" / "scripted.csv")
     assert list(rows.columns[: len(COLUMNS)]) == COLUMNS and set(rows["method"]) == {"scripted"}
@@ -70,6 +70,7 @@ def test_a_small_study(tmp_path: Path) -> None:
     for name in ("seed", "success", "steps", "posture", "task", "attitude"):
         assert plain[name].tolist() == [line[name] for line in expected], name
     assert not rows[rows["kind"] == "delay"]["steps"].eq(plain["steps"].tolist() * 3).all()
+    monkeypatch.setattr(module, "CHUNK", 2)
     stress("scripted", 3, SEED, folder=tmp_path / "b", kinds=("delay", "torque"), tell=lambda _: None, quiet=True)
     assert (tmp_path / "a" / "scripted.csv").read_bytes() == (tmp_path / "b" / "scripted.csv").read_bytes()
     written = json.loads((tmp_path / "a" / "scripted.json").read_text())

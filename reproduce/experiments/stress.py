@@ -31,6 +31,7 @@ FOLDER = RESULTS / "stress"
 NONE, OTHER = "none", "simulator"  # the kinds that disturb nothing: as always, and in another simulator
 COLUMNS = ["method", "kind", "severity", "seed", "task", "posture", "attitude", "success", "failure", "simulator"]
 MORE = ["both_arms_under", "steps", "gentle"]  # further columns of the rows
+CHUNK = 25  # scenes after which the files are written: what an interruption leaves tells of whole scenes
 _STATE: dict[str, Any] = {}
 
 
@@ -130,19 +131,33 @@ def stress(
         if path:
             check_writable(path)
     with locked(folder, "stress tests"):
-        simulators = tuple(dict.fromkeys(condition.simulator for condition in tried))
-        job, title = partial(_test, tried=tried), f"stress {name}"
-        nested = map_scenes(job, seeds, _prepare, (str(where), simulators), title=title, quiet=quiet)
-        rows = pd.DataFrame([row for scene in nested for row in scene], columns=[*COLUMNS, *MORE])
-        summary = {"method": name, "first_seed": first_seed, "split": split_of(first_seed), "tests": tests}
-        summary |= {"conditions": summarise_stress(rows), "origin": provenance()}
-        write_table(table, rows)
-        for path in (summary_path, json):
-            if path:
-                write_json(path, summary)
+        parts = [seeds[start : start + CHUNK] for start in range(0, tests, CHUNK)]
+        done: list[pd.DataFrame] = []
+        for part in parts:
+            done.append(_measure(where, part, tried, name, quiet))
+            summary = _write(pd.concat(done), table, (summary_path, json))
     _print(summary["conditions"], tell)
-    if len(simulators) == 1:
+    if all(condition.simulator == DEFAULT for condition in tried):
         tell("no other simulator is installed: pip install 'lunar-rescue[mujoco]'")
+    return summary
+
+
+def _measure(where: str | Path, seeds: range, tried: tuple[Condition, ...], name: str, quiet: bool) -> pd.DataFrame:
+    """Return the rows of some scenes."""
+    simulators = tuple(dict.fromkeys(condition.simulator for condition in tried))
+    job, title = partial(_test, tried=tried), f"stress {name}"
+    nested = map_scenes(job, seeds, _prepare, (str(where), simulators), title=title, quiet=quiet)
+    return pd.DataFrame([row for scene in nested for row in scene], columns=[*COLUMNS, *MORE])
+
+
+def _write(rows: pd.DataFrame, table: Path, summaries: tuple[Path | None, ...]) -> dict[str, Any]:
+    """Write the rows and their summary, and return that."""
+    first, tests = int(rows["seed"].min()), rows["seed"].nunique()
+    summary = {"method": rows["method"].iloc[0], "first_seed": first, "split": split_of(first), "tests": tests}
+    summary |= {"conditions": summarise_stress(rows), "origin": provenance()}
+    write_table(table, rows)
+    for path in filter(None, summaries):
+        write_json(path, summary)
     return summary
 
 
