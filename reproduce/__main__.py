@@ -63,6 +63,7 @@ def evaluate(
     ablation: Annotated[str | None, typer.Option(help="fixed_target or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     simulator: console.Simulator = "pybullet",
+    plans_of: Annotated[str | None, typer.Option(help="planner: simulator in which plans are tried out")] = None,
     json: console.JsonFile = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="also both arms under, by task and by posture")] = False,
 ) -> None:
@@ -79,7 +80,8 @@ def evaluate(
     from reproduce.experiments.evaluate import evaluate as test
 
     tell = partial(_print_evaluation, verbose=verbose)
-    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, simulator=simulator)
+    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of}
+    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, **places)
 
 
 @app.command("evaluate-reference")
@@ -280,15 +282,6 @@ def tables() -> None:
 
     for path in write_tables():
         typer.echo(f"{path}: written")
-
-
-@app.command()
-def methods() -> None:
-    """List the methods of the registry."""
-    from reproduce.experiments.methods import METHODS
-
-    for method in METHODS.values():
-        typer.echo(f"{method.name}: {method.about}")
 
 
 def main() -> None:
