@@ -206,6 +206,17 @@ def test_a_payload_moves_the_weight_and_nothing_that_is_seen(simulator: str) -> 
     env.close()
 
 
+def test_a_payload_rolls_nobody_over(env: DisturbedEnv) -> None:
+    for seed in range(SEED, SEED + 12):
+        scene = sample_scene(seed)
+        env.reset_flat(options={"scene": scene, "disturbance": disturbance(scene, "payload", "high")})
+        before = env.episode.body.rotation
+        for _ in range(15):
+            env.step_flat(np.zeros(11, np.float32))
+        turned = np.degrees(np.arccos(np.clip((np.trace(before.T @ env.episode.body.rotation) - 1) / 2, -1, 1)))
+        assert turned < 10.0, scene.posture
+
+
 def test_an_unseen_rock_is_in_the_world_alone(env: DisturbedEnv) -> None:
     found = 0
     for seed in range(SEED, SEED + 30):

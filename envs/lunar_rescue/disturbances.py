@@ -75,7 +75,7 @@ def _factors(rng: np.random.Generator, least: float, most: float) -> tuple[float
 
 
 def _payload(scene: Scene, level: float, rng: np.random.Generator) -> Disturbance:
-    """Move the centre of gravity towards head or feet: lengthwise, those who lie do not roll over by themselves."""
+    """Move the centre of gravity towards head or feet: lengthwise, bodies settle a little and do not roll over."""
     return Disturbance(offset=(0.0, 0.0, float(rng.choice([-1.0, 1.0])) * 0.01 * level))
 
 
