@@ -55,14 +55,14 @@ def test_sentences_are_computed(results: Path, tmp_path: Path) -> None:
 
 def test_tables_by_hand(results: Path) -> None:
     rows = gap.stress_rows(results)
-    shown = gap.readable_stress(rows)
+    shown: Any = gap.readable_stress(rows)
     assert shown.columns.tolist() == ["none", "low", "middle", "high"]
     # Wilson's interval of 1 in 5, from a table.
     assert shown.loc[("Script with IK", "actions that come late"), "middle"] == "20.0 % [3.6, 62.4]"
     assert shown.loc[("Script with IK", "nothing, in mujoco"), "none"].startswith("60.0 % [")
     first, second = gap.simulators(rows[rows["method"] == "scripted"]) or (None, None)
     assert first is not None and second is not None
-    table = gap.transfer_table(first, second).set_index(["by", "group"])
+    table: Any = gap.transfer_table(first, second).set_index(["by", "group"])
     names = ["tests", "first", "second", "lost", "gained"]
     assert table.loc[("all", ""), names].tolist() == [5, 4, 3, 2, 1]
     assert table.loc[("task", "lift"), names].tolist() == [3, 2, 2, 1, 1]
@@ -76,7 +76,7 @@ def test_tables_by_hand(results: Path) -> None:
 
 
 def test_severities_are_told_with_units() -> None:
-    table = gap.severities()
+    table: Any = gap.severities()
     assert table.loc["centre of gravity", ["unit", "low", "middle", "high"]].tolist() == ["cm", 2.0, 5.0, 10.0]
     assert len(table) == 10 and table["meaning"].str.len().min() > 20
 
@@ -86,7 +86,8 @@ def test_the_figure_has_a_panel_a_kind_and_a_line_a_method(results: Path) -> Non
     assert isinstance(figure, Figure)
     panels = {axis.get_title(): axis for axis in figure.axes}
     assert len(panels) == 10
-    lines = [bars.lines[0].get_xydata().tolist() for bars in panels["actions that come late"].containers]
+    drawn: list[Any] = panels["actions that come late"].containers
+    lines = [bars.lines[0].get_xydata().tolist() for bars in drawn]
     assert lines == [[[0.0, 80.0], [2.0, 20.0]], [[0.0, 0.0]]]
     figures.plt.close(figure)
 
@@ -114,7 +115,7 @@ def test_two_evaluations_are_compared_by_command(tmp_path: Path) -> None:
     files = [str(tmp_path / f"{name}.csv") for name in "abc"]
     answer = call("transfer", files[0], files[1], "--out", str(tmp_path / "table.csv"))
     assert answer.code == 0
-    table = pd.read_csv(tmp_path / "table.csv")
+    table: Any = pd.read_csv(tmp_path / "table.csv")
     assert table.loc[0, ["tests", "first", "second", "lost", "gained"]].tolist() == [4, 2, 2, 1, 1]
     refused = call("transfer", files[0], files[2])
     assert refused.code == 2 and "the same scenes" in refused.complaint

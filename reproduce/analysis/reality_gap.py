@@ -127,24 +127,26 @@ def in_words(rows: pd.DataFrame) -> list[str]:
     """Return a sentence a method: success undisturbed, what it keeps least and most of, and in the other simulator."""
     sentences = []
     for name, group in rows.groupby("method", sort=False):
-        table = pd.DataFrame(summarise_stress(group))
-        plain, middle = table[table["kind"] == NONE].iloc[0], table[table["severity"] == SEVERITIES[1]]
+        lines = summarise_stress(group)
+        plain = next(line for line in lines if line["kind"] == NONE)
+        middle = sorted(
+            (line for line in lines if line["severity"] == SEVERITIES[1]), key=lambda line: line["kept"] or 0.0
+        )
         words = f"{METHODS[str(name)].title}: {_rate(plain)} of {plain['tests']} scenes undisturbed"
-        if len(middle) and plain["successes"]:
-            worst, best = middle.loc[middle["kept"].idxmin()], middle.loc[middle["kept"].idxmax()]
-            words += f"; of these rescues, at the middle severity, least are kept under {_kept(worst)}"
-            words += f", most under {_kept(best)}"
-        for _, other in table[table["kind"] == OTHER].iterrows():
+        if middle and plain["successes"]:
+            words += f"; of these rescues, at the middle severity, least are kept under {_kept(middle[0])}"
+            words += f", most under {_kept(middle[-1])}"
+        for other in (line for line in lines if line["kind"] == OTHER):
             words += f"; in {other['simulator']} {_rate(other)}, {other['lost']} lost and {other['gained']} gained"
         sentences.append(f"{words}.")
     return sentences or ["No stress tests yet: `reproduce stress DIR` writes them to results/stress/."]
 
 
-def _rate(line: pd.Series[Any]) -> str:
+def _rate(line: dict[str, Any]) -> str:
     return f"{100 * line['success_rate']:.1f} %"
 
 
-def _kept(line: pd.Series[Any]) -> str:
+def _kept(line: dict[str, Any]) -> str:
     kind = KINDS[line["kind"]]
     return f"{kind.title}, {line['level']:g} {kind.unit} ({100 * line['kept']:.0f} %)"
 
