@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from untrained import untrained_policy  # type: ignore[import-not-found]
 
 from lunar_rescue import sample_scene
+from lunar_rescue.disturbances import NOTHING, disturbance
+from lunar_rescue.disturbed import DisturbedEnv
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.baselines.planner.planner import Plan, PlannerPolicy, RescuePlanner
 from reproduce.experiments import stress as module
-from reproduce.experiments.evaluate import rescue_scenes
+from reproduce.experiments.evaluate import find_policy, put_into, rescue_scenes, run_episode
 from reproduce.experiments.stress import COLUMNS, Condition, conditions, stress, summarise_stress
 from reproduce.storage.errors import UserError
 
@@ -109,3 +113,23 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
         stress("scripted", 0, SEED, folder=tmp_path / "none")
     assert not (tmp_path / "none").exists()
     assert Condition("delay", "low", "pybullet") in conditions()
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("name", ["hrl_dcs", "fun", "sac", "ppo_lstm"])
+def test_every_kind_of_policy_acts_under_disturbance_and_in_the_other_simulator(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    method, policy = find_policy(untrained_policy(name, tmp_path / "run"))
+    assert method.name == name
+    scene = sample_scene(SEED + 1)
+    what = disturbance(scene, "position", "high")
+    rows: dict[str, list[dict[str, Any]]] = {"pybullet": [], "mujoco": []}
+    for simulator, found in rows.items():
+        put_into(simulator, policy).close()
+        with closing(DisturbedEnv(simulator=simulator, max_steps=12)) as env:
+            for given in (NOTHING, what, what):
+                found.append(run_episode(env, policy, scene, disturbance=given))
+    for found in rows.values():
+        assert found[1] == found[2], "the same scene, kind and severity"
+        assert found[0]["return"] != found[1]["return"], "what is seen is acted upon"
+    assert rows["pybullet"][0]["return"] != rows["mujoco"][0]["return"]
