@@ -25,6 +25,9 @@ def train(
     steps: Annotated[int | None, typer.Option(min=1, help="environment steps instead of the preset's")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes: one posture, no rocks, light astronaut")] = False,
+    randomise: Annotated[
+        bool, typer.Option("--randomise", help="draw physics, delay and gains anew each episode")
+    ] = False,
     tensorboard: Annotated[Path | None, console.folder("for TensorBoard's logs, too")] = None,
     as_needed: Annotated[bool, typer.Option("--as-needed", help=console.AS_NEEDED)] = False,
 ) -> None:
@@ -42,7 +45,8 @@ def train(
     from reproduce.experiments import train as training  # PyTorch takes seconds, which a mistake need not wait for
 
     config = entry.config(preset)
-    config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes)
+    priors = replace(config.priors, randomise=True) if randomise else config.priors
+    config = replace(config, steps=steps or config.steps, scenes="easy" if easy else config.scenes, priors=priors)
     if as_needed:
         training.train_as_needed(entry, config, seed, out, preset)
     else:
@@ -59,6 +63,7 @@ def evaluate(
     ablation: Annotated[str | None, typer.Option(help="fixed_target or untrained_lln")] = None,
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     simulator: console.Simulator = "pybullet",
+    plans_of: Annotated[str | None, typer.Option(help="planner: simulator in which plans are tried out")] = None,
     json: console.JsonFile = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="also both arms under, by task and by posture")] = False,
 ) -> None:
@@ -75,7 +80,8 @@ def evaluate(
     from reproduce.experiments.evaluate import evaluate as test
 
     tell = partial(_print_evaluation, verbose=verbose)
-    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, simulator=simulator)
+    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of}
+    test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, **places)
 
 
 @app.command("evaluate-reference")
@@ -276,15 +282,6 @@ def tables() -> None:
 
     for path in write_tables():
         typer.echo(f"{path}: written")
-
-
-@app.command()
-def methods() -> None:
-    """List the methods of the registry."""
-    from reproduce.experiments.methods import METHODS
-
-    for method in METHODS.values():
-        typer.echo(f"{method.name}: {method.about}")
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Commands that measure, demonstrate and tune; ``reproduce.__main__`` adds all others."""
+"""Commands that measure, compare, demonstrate and tune; ``reproduce.__main__`` adds all others."""
 
 from pathlib import Path
 from typing import Annotated
@@ -106,6 +106,56 @@ def rules(
     from reproduce.analysis.rule_errors import measure_rules
 
     measure_rules(repeats, out, tell=typer.echo)
+
+
+@app.command()
+def stress(
+    run: console.Policy,
+    tests: console.Tests = 200,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+    out: Annotated[Path | None, console.folder("folder to write; results/stress without it")] = None,
+    json: console.JsonFile = None,
+) -> None:
+    """Measure success against noise, delay, errors and in the other simulator; writes METHOD.csv and METHOD.json."""
+    from reproduce.experiments.methods import check_actor
+
+    check_actor(run)
+    from reproduce.experiments.pool import first_scene
+    from reproduce.experiments.stress import FOLDER
+    from reproduce.experiments.stress import stress as measure
+
+    measure(run, tests, first_scene(split, first_seed, typer.echo), folder=out or FOLDER, json=json, tell=typer.echo)
+
+
+@app.command()
+def transfer(
+    first: Annotated[Path, typer.Argument(parser=console.as_path, metavar="FIRST", help="rows of an evaluation, .csv")],
+    second: Annotated[
+        Path, typer.Argument(parser=console.as_path, metavar="SECOND", help="and of another, same scenes")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(parser=console.as_file, metavar="FILE", help="also write the table as .csv")
+    ] = None,
+) -> None:
+    """Tell what is lost and gained from one evaluation to another: in all, by task, attitude and posture."""
+    from reproduce.analysis.reality_gap import transfer_table
+    from reproduce.experiments.rows import read_rows
+    from reproduce.storage.provenance import write_table
+
+    table = transfer_table(read_rows(first), read_rows(second))
+    typer.echo(table.round(3).to_string(index=False))
+    if out:
+        typer.echo(f"{write_table(out, table)}: written")
+
+
+@app.command()
+def methods() -> None:
+    """List the methods of the registry."""
+    from reproduce.experiments.methods import METHODS
+
+    for method in METHODS.values():
+        typer.echo(f"{method.name}: {method.about}")
 
 
 @app.command()

@@ -29,10 +29,10 @@ ORDER = {
         ("storage",),
     ),
     "lunar_rescue": (
-        ("step_limit",),
+        ("disturbed", "step_limit"),
         ("env",),
         ("pictures",),
-        ("contacts", "episode", "observation", "rewards", "tasks"),
+        ("contacts", "disturbances", "episode", "observation", "rewards", "tasks"),
         ("physics",),
         ("scenes",),
         ("arrays", "data"),
@@ -40,7 +40,7 @@ ORDER = {
 }
 LONGEST_FILE, LONGEST_FUNCTION = 300, 40  # lines
 SHORT_DOCSTRING, SHORT_DOCSTRINGS = 5, 30  # words; fewer of them than
-MOST_LINES = 17_510  # without examples
+MOST_LINES = 18_520  # without examples
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -16,7 +16,7 @@ from lunar_rescue.episode import Episode, begin_episode
 from lunar_rescue.observation import as_dict, observation_space
 from lunar_rescue.physics.client import NotCopied
 from lunar_rescue.physics.engines import DEFAULT, make_simulation
-from lunar_rescue.physics.robot import JOINTS, Robot
+from lunar_rescue.physics.robot import JOINTS, Robot, checked_action
 from lunar_rescue.physics.solver import SolverSettings
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.sampling import easy_scene, sample_scene
@@ -152,7 +152,7 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         self, action: NDArray[np.floating[Any]]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Hold an action as ``step`` does, with the observation as one vector (SIZE,)."""
-        episode, clipped = self.episode, _checked_action(action)
+        episode, clipped = self.episode, checked_action(action)
         before = episode.robot.angles
         self.robot.drive(clipped, before)
         forces = hold(self.simulation, self.robot, episode)
@@ -215,13 +215,16 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
         return easy_scene(seeds[number]) if easy else sample_scene(seeds[number], posture=posture, task=task)
 
     def _begin(self, scene: Scene) -> Episode:
-        """Clear the world of the last episode, or make it anew when it is due, and build a scene."""
+        self._clear()
+        return begin_episode(self.simulation, self.robot, scene, self.weights.memory)
+
+    def _clear(self) -> None:
+        """Clear the world of the last episode, or make it anew when it is due."""
         if self.simulation.needs_rebuild:
             self.simulation.renew()
             self.robot = Robot(self.simulation)
         self.robot.rest()
         self.simulation.clear([self.robot.handle])
-        return begin_episode(self.simulation, self.robot, scene, self.weights.memory)
 
     def _observe(self, action: Array) -> NDArray[np.float32]:
         e = self.episode
@@ -291,10 +294,3 @@ class LunarRescueEnv(NotCopied, gymnasium.Env[dict[str, NDArray[np.float32]], ND
 
 def _least(recent: deque[Array]) -> Array:
     return recent[0] if len(recent) == 1 else np.min(recent, axis=0)
-
-
-def _checked_action(action: NDArray[np.floating[Any]]) -> Array:
-    array = np.asarray(action, dtype=np.float64)
-    if array.shape != (JOINTS,) or not math.isfinite(array.sum()):
-        raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
-    return np.minimum(np.maximum(array, -1.0), 1.0)

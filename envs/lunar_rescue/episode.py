@@ -101,7 +101,16 @@ def _lengths(vectors: Array) -> Array:
     return lengths
 
 
-def begin_episode(simulation: Simulation, robot: Robot, scene: Scene, memory: int) -> Episode:
+def begin_episode(
+    simulation: Simulation,
+    robot: Robot,
+    scene: Scene,
+    memory: int,
+    *,
+    seen: Scene | None = None,
+    friction: float = 1.0,
+    offset: Array | None = None,
+) -> Episode:
     """Build a scene in an empty world, put the robot at q_init and return the episode.
 
     Args:
@@ -109,11 +118,14 @@ def begin_episode(simulation: Simulation, robot: Robot, scene: Scene, memory: in
         robot: The robot in it.
         scene: What lies where.
         memory: Steps whose least distance is D_m.
+        seen: What the robot takes the scene for, where that is another one.
+        friction: What the scene's friction is multiplied by.
+        offset: What the astronaut's centre of gravity is off by (3,) [m], see ``Astronaut``.
     """
     simulation.set_up_vector(scene.terrain.up())
-    simulation.set_friction(scene.friction, [(robot.handle, robot.links)])
+    simulation.set_friction(scene.friction * friction, [(robot.handle, robot.links)])
     robot.reset(scene.base_x, scene.base_y, scene.base_yaw)
-    astronaut = Astronaut(simulation, scene)
+    astronaut = Astronaut(simulation, scene, offset)
     if scene.terrain.rough:
         simulation.add_relief(scene.terrain)
     rocks = [simulation.add_rock(rock) for rock in scene.rocks]
@@ -122,7 +134,8 @@ def begin_episode(simulation: Simulation, robot: Robot, scene: Scene, memory: in
     targets = astronaut.targets(body)
     left = np.array([-math.sin(scene.base_yaw), math.cos(scene.base_yaw), 0.0])
     order = [0, 1] if (targets[0] - targets[1]) @ left > 0 else [1, 0]
-    observer = Observer(scene, robot, targets[order], (targets + astronaut.ways_in)[order], marks)
+    places = targets[order], (targets + astronaut.ways_in)[order], rock_marks(seen.rocks) if seen else marks
+    observer = Observer(seen or scene, robot, *places)
     task = TASK_TYPES[scene.task](astronaut.start)
     recent: deque[Array] = deque(maxlen=memory)
     episode = Episode(scene, astronaut, task, observer, rocks, marks, order, state, body, recent)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lunar_rescue import RewardWeights, Scene, postures, rewards, sample_scene
+from lunar_rescue.disturbances import KINDS
 from lunar_rescue.env import LunarRescueEnv
 from lunar_rescue.episode import Episode
 from lunar_rescue.pictures.camera import GALLERY_TURN, TURN, scene_camera
@@ -21,6 +22,8 @@ from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import rock_marks
 from lunar_rescue.scenes.scene import body_surface
 from reproduce.analysis.trainings import smooth
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.stress import NONE
 
 sns.set_theme(context="notebook", style="whitegrid")
 
@@ -188,4 +191,30 @@ def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
         rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
         annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
     )  # fmt: skip
+    return figure
+
+
+def success_by_severity(table: pd.DataFrame) -> Figure:
+    """Draw success against severity, a panel a kind, a line a method with Wilson's intervals; none is at the left.
+
+    ``table`` is what ``reality_gap.by_severity`` returns.
+    """
+    columns = 5
+    rows = -(-len(KINDS) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(15, 3.1 * rows), sharey=True, layout="constrained", squeeze=False
+    )
+    for axis, (name, kind) in zip(axes.flat, KINDS.items(), strict=False):
+        for colour, (method, lines) in enumerate(table.groupby("method", sort=False)):
+            lines = lines[lines["kind"].isin((NONE, name))]
+            rate = 100 * lines["success_rate"]
+            bars = np.array([rate - 100 * lines["wilson_low"], 100 * lines["wilson_high"] - rate])
+            levels = lines["level"].fillna(0.0).to_numpy(float)
+            axis.errorbar(
+                levels, rate, bars, marker="o", capsize=3, color=f"C{colour}", label=METHODS[str(method)].title
+            )
+        axis.set(title=kind.title, xlabel=kind.unit, ylim=(0, 102))
+    axes[0, 0].set_ylabel("success [%]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return figure

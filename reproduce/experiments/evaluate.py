@@ -19,6 +19,7 @@ from reproduce.experiments.methods import METHODS, Method, check_actor, load_pol
 from reproduce.experiments.pool import known_simulator, map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
 from reproduce.learning.policy import Policy
+from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, write_json
 from reproduce.storage.provenance import provenance
 
@@ -43,9 +44,9 @@ def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method,
     return method, ablated(policy, ablation, method.name)
 
 
-def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, Any]:
-    """Act out one rescue and return the scene's row, as ``rows.SceneRow``."""
-    observation, _ = env.reset_flat(options={"scene": scene})
+def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any) -> dict[str, Any]:
+    """Act out one rescue and return the scene's row, as ``rows.SceneRow``; ``options`` are more of the reset."""
+    observation, _ = env.reset_flat(options={"scene": scene, **options})
     if hasattr(policy, "prepare"):  # the planner knows the scene
         policy.prepare(scene)
     start, total, done = np.array([True]), 0.0, False
@@ -71,16 +72,29 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene) -> dict[str, 
     }
 
 
-def put_into(simulator: str, policy: Policy) -> LunarRescueEnv:
-    """Return an environment in a simulator; a policy that tries out what it plans does so in that simulator, too."""
+def put_into(simulator: str, policy: Policy, plans_of: str | None = None) -> LunarRescueEnv:
+    """Return an environment in a simulator; a policy that tries out what it plans does so there, or in ``plans_of``.
+
+    Raises:
+        UserError: On a simulator that is not there, or plans of a policy that makes none.
+    """
+    _plan_in(simulator, policy, plans_of)
+    return LunarRescueEnv(simulator=simulator)
+
+
+def _plan_in(simulator: str, policy: Policy, plans_of: str | None) -> None:
+    """Check the simulators, and tell a policy that plans in which one to try plans out."""
+    for name in filter(None, (simulator, plans_of)):
+        known_simulator(name)
     if hasattr(policy, "plan_in"):
-        policy.plan_in(simulator)
-    return LunarRescueEnv(simulator=known_simulator(simulator))
+        policy.plan_in(plans_of or simulator)
+    elif plans_of:
+        raise UserError("--plans-of: only the planner makes plans; leave it out")
 
 
-def _prepare(where: str, ablation: str | None, simulator: str) -> None:
+def _prepare(where: str, ablation: str | None, simulator: str, plans_of: str | None) -> None:
     method, _STATE["policy"] = find_policy(where, ablation)
-    _STATE["env"] = put_into(simulator, _STATE["policy"])
+    _STATE["env"] = put_into(simulator, _STATE["policy"], plans_of)
     if method.learns:
         import torch as th
 
@@ -102,6 +116,7 @@ def rescue_scenes(
     ablation: str | None = None,
     easy: bool = False,
     simulator: str = DEFAULT,
+    plans_of: str | None = None,
 ) -> list[dict[str, Any]]:
     """Test a policy and return one row a scene, in the order of seeds.
 
@@ -109,9 +124,9 @@ def rescue_scenes(
         UserError: On numbers out of range, a run folder that does not load or a simulator that is not there.
     """
     seeds = scene_seeds(tests, first_seed)
-    known_simulator(simulator)
-    find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
-    job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator)
+    # A bad run folder, or a simulator that is not there, fails here, in one line, and not in a worker.
+    _plan_in(simulator, find_policy(where, ablation)[1], plans_of)
+    job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator, plans_of)
     return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
 
 
@@ -125,22 +140,22 @@ def evaluate(
     json: Path | None = None,
     tell: Callable[[dict[str, Any]], object] | None = None,
     simulator: str = DEFAULT,
+    plans_of: str | None = None,
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
-    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The summary
-    goes to ``json`` with the rows beside it, see ``rows.rows_path``; ``tell`` is called with it before that, so that
-    it is seen even where writing fails.
+    ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The planner
+    tries its plans out in ``plans_of``, if that is given, and does them in ``simulator``. The summary goes to ``json``
+    with the rows beside it (``rows.rows_path``); ``tell`` is called with it first, so that it is seen if writing fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
-    for path in (json, table):
-        if path:
-            check_writable(path)
+    for path in filter(None, (json, table)):
+        check_writable(path)
     begun = time.monotonic()
-    tested = rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, simulator=simulator)
-    rows = as_table(tested)
+    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of}
+    rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, **places))
     seconds = time.monotonic() - begun
-    conditions = {"ablation": ablation, "scenes": "easy" if easy else None}
+    conditions = {"ablation": ablation, "scenes": "easy" if easy else None, "plans_of": plans_of}
     conditions["simulator"] = None if simulator == DEFAULT else simulator
     summary = {
         "method": find_policy(where)[0].name,

@@ -66,6 +66,9 @@ class PriorConfig:
     joint_step: bool = False  # LLN sees the kinematic step of all joints to its sub-goal, see `hrl_dcs.joint_step`
     milestone_share: NonNegativeFloat = 0.0  # Weight in INR of what comes once an episode and is not in the paper
     demonstrations: bool = False  # Networks imitate the planner's rescues of training scenes before they explore
+    # Friction, mass, centre of gravity, solver, delay and gains are drawn anew for each training episode, from the
+    # ranges in `lunar_rescue.disturbances`; demonstrations and tests have none of it.
+    randomise: bool = False
 
 
 @checked
@@ -96,9 +99,13 @@ class TrainingConfig:
     priors: PriorConfig = field(default_factory=PriorConfig)  # What it is given that is not in the paper
 
     def __post_init__(self) -> None:
-        """Refuse a training of nothing."""
+        """Refuse a training of nothing, and randomised episodes of which there are none."""
         if not self.steps and not self.priors.demonstrations:
             raise ValueError("steps: expected at least 1 where there are no demonstrations, got 0")
+        if not self.steps and self.priors.randomise:
+            raise ValueError(
+                "priors.randomise: imitation alone has no episodes to randomise; steps: expected at least 1"
+            )
 
     @property
     def policy(self) -> PolicyConfig:

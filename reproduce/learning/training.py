@@ -29,7 +29,8 @@ def make_environments(config: TrainingConfig, seed: int) -> Environments:
     """Start the environments of a training, as learners see them, with the postures of its curriculum."""
     arguments = {"weights": config.reward, "obstacle_reward": config.obstacle_reward}
     drawn = [name for name, posture in postures().items() for _ in range(_weight(posture, config.priors.lying_weight))]
-    options = EnvOptions(arguments, tuple(drawn) if config.priors.lying_weight > 1 else (), config.scenes == "easy")
+    postures_drawn = tuple(drawn) if config.priors.lying_weight > 1 else ()
+    options = EnvOptions(arguments, postures_drawn, config.scenes == "easy", config.priors.randomise)
     venv = WorkerVecEnv(config.n_envs, seed, options)
     return MirroredVecEnv(venv) if config.priors.mirror else venv
 

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from lunar_rescue import rewards
+from lunar_rescue.disturbances import randomised
+from lunar_rescue.disturbed import DisturbedEnv
 from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
@@ -45,6 +47,11 @@ class EnvOptions:
     arguments: dict[str, Any]  # keyword arguments of ``LunarRescueEnv``
     postures: tuple[str, ...] = ()  # to draw from; empty means all
     easy: bool = False  # whether every scene is one of ``easy_scene``
+    randomise: bool = False  # whether each episode's physics are drawn anew, see ``disturbances.randomised``
+
+    def make(self) -> LunarRescueEnv:
+        """Make one environment."""
+        return DisturbedEnv(randomised, **self.arguments) if self.randomise else LunarRescueEnv(**self.arguments)
 
 
 def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
@@ -58,7 +65,7 @@ class _Worker:
     def __init__(self, raws: list[Any], indices: list[int], count: int, options: EnvOptions, seed: int) -> None:
         arrays = [_shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)]
         self._observations, self._actions, self._rewards, self._dones, self._terms = arrays
-        self._envs = {index: LunarRescueEnv(**options.arguments) for index in indices}
+        self._envs = {index: options.make() for index in indices}
         self._options, self._seed = options, seed
 
     def serve(self, pipe: Connection) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, tasks
+from lunar_rescue import ENVIRONMENT_VERSION, RewardWeights, disturbances, tasks
 from lunar_rescue.observation import SIZE, observation_table
 from lunar_rescue.physics import bullet, robot, simulation
 from lunar_rescue.physics.engines import SIMULATORS
@@ -22,6 +22,7 @@ from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes import rocks, scene, terrain
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.splits import HELD_OUT, SPLITS
+from reproduce.analysis import reality_gap
 from reproduce.analysis.claims import compute_claims
 from reproduce.analysis.rule_tables import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
@@ -116,12 +117,26 @@ def _statistics() -> dict[str, Any]:
     return {"rules": table, "readable": None if table is None else readable_rules(table)}
 
 
+def _reality_gap() -> dict[str, Any]:
+    """Return kinds and severities, what was measured of them, and the ranges of randomised trainings."""
+    rows = reality_gap.stress_rows()
+    names = [f"stress/{method}.json" for method in rows["method"].unique()]
+    return {
+        "severities": reality_gap.severities().reset_index(),
+        "words": reality_gap.in_words(rows),
+        "stress": reality_gap.readable_stress(rows).reset_index(),
+        "summaries": [summary for name in names if (summary := _result(name))],
+        "d": disturbances,
+    }
+
+
 #: Page and what computes the data of its template.
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
     "docs/environment.md": _environment,
     "docs/simulators.md": _agreement,
     "docs/statistics.md": _statistics,
+    "docs/reality_gap.md": _reality_gap,
     "docs/api.md": lambda: {"parts": reference()},
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }

@@ -27,18 +27,8 @@ from reproduce.storage.provenance import provenance
 
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
 DOCUMENTS = (
-    *(
-        "environment",
-        "library",
-        "learners",
-        "api",
-        "training",
-        "training_log",
-        "assumptions",
-        "statistics",
-        "extending",
-    ),
-    *("cluster", "report"),
+    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "statistics", "extending"),
+    *("cluster", "simulators", "reality_gap", "report"),
 )
 PICTURE = ROOT / "docs" / "rescue.png"
 REPLAYS = "replays"

@@ -37,18 +37,23 @@ class Astronaut:
     ``ways_in`` lead from each target (head's side, feet's side) to the entry before the body, in the world (2, 3) [m].
     """
 
-    def __init__(self, simulation: Simulation, scene: Scene) -> None:
-        """Build the body at rest in its posture."""
+    def __init__(self, simulation: Simulation, scene: Scene, offset: Array | None = None) -> None:
+        """Build the body at rest in its posture.
+
+        ``offset`` (3,) [m], front, left and head, is where its centre of gravity is beside the one that it should have;
+        states and targets are those of the suit, wherever its centre of gravity is.
+        """
         fixed = _fixed(scene.model, scene.side, scene.task)
         c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
         heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
         self._simulation = simulation
-        self._body = simulation.add_suit(scene.model.limbs, scene.mass)
+        self._body = simulation.add_suit(scene.model.limbs, scene.mass, offset)
         self.handle = self._body.handle
-        simulation.place(self.handle, centre, _turned(0.5 * scene.astronaut_yaw, fixed.quaternion))
         self.start = AstronautState(centre, heading @ fixed.rotation, np.zeros(3), np.zeros(3))
-        self._fixed = fixed
+        self._fixed, self._offset = fixed, offset
+        placed = centre if offset is None else centre + self.start.rotation @ offset
+        simulation.place(self.handle, placed, _turned(0.5 * scene.astronaut_yaw, fixed.quaternion))
         self.ways_in = fixed.way_in[:, None] * np.array([-s, c, 0.0]) * scene.side
 
     def state(self) -> AstronautState:
@@ -56,7 +61,11 @@ class Astronaut:
         position, quaternion = self._simulation.raw_pose(self._body)
         linear, angular = self._simulation.velocity(self._body)
         rotation = _matrix(quaternion) @ self._fixed.to_body
-        return AstronautState(np.array(position), rotation, linear, angular)
+        centre = np.array(position)
+        if self._offset is not None:
+            away = rotation @ self._offset
+            centre, linear = centre - away, linear - np.cross(angular, away)
+        return AstronautState(centre, rotation, linear, angular)
 
     def targets(self, state: AstronautState) -> Array:
         """Return the two target areas P_G now (head's side, feet's side), moving with the body, (2, 3) [m]."""

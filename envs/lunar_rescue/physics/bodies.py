@@ -48,12 +48,13 @@ class Bodies(Client):
         """Tell whether the world should be renewed before the next episode."""
         return self._episodes >= WORLD_LIFE
 
-    def add_suit(self, limbs: Limbs, mass: float) -> RigidBody:
-        """Make the astronaut's rigid body, far away; place it with ``place``."""
+    def add_suit(self, limbs: Limbs, mass: float, offset: Array | None = None) -> RigidBody:
+        """Make the astronaut's rigid body, far away; place it with ``place``; see the interface for ``offset``."""
         properties = mass_properties(limbs)
         shape = self._cached_shape(limbs, lambda: self._compound(suit_parts(limbs)))
-        centre, axes = properties.centre.tolist(), properties.axes.tolist()
-        handle = self._client.createMultiBody(mass, shape, self._unseen, (0, 0, 50), (0, 0, 0, 1), centre, axes)
+        centre = properties.centre if offset is None else properties.centre + offset
+        pose, axes = centre.tolist(), properties.axes.tolist()
+        handle = self._client.createMultiBody(mass, shape, self._unseen, (0, 0, 50), (0, 0, 0, 1), pose, axes)
         self._client.changeDynamics(
             handle,
             -1,

@@ -116,6 +116,8 @@ class BulletSimulation(Bodies, Simulation):
         """Set position targets of motors [rad] with torque limits [N m]."""
         self._motors = body, joints, targets, torques
         gains = [self.pace.position_gain] * len(joints)
+        if self.motor_gains is not None:
+            gains = (self.pace.position_gain * self.motor_gains).tolist()
         self._set_motors(
             body, joints, pb.POSITION_CONTROL, targetPositions=targets, forces=torques, positionGains=gains
         )

@@ -119,10 +119,10 @@ class MujocoBodies(NotCopied, Simulation):
         self._reopen()
         self.friction = self._contents.friction = coefficient
 
-    def add_suit(self, limbs: Limbs, mass: float) -> RigidBody:
+    def add_suit(self, limbs: Limbs, mass: float, offset: Array | None = None) -> RigidBody:
         """Make the astronaut's rigid body, far away; place it with ``place``."""
         handle = self._number()
-        self._contents.suits[handle] = limbs, mass
+        self._contents.suits[handle] = limbs, mass, np.zeros(3) if offset is None else offset
         return RigidBody(handle, Rotation.from_quat(mass_properties(limbs).axes).inv())
 
     def add_rock(self, rock: Rock) -> int:
@@ -164,7 +164,7 @@ class MujocoBodies(NotCopied, Simulation):
             self._set_pace(self.pace)
             for index, angle in self._angles.items():
                 world.data.qpos[world.angles[index]] = angle
-            self._motors = Motors(world, *self._aims)
+            self._motors = Motors(world, *self._aims, gains=self.motor_gains)
             for handle, pose in self._poses.items():
                 self._put(world, handle, *pose)
             self._placed()

@@ -39,6 +39,7 @@ class MujocoSimulation(MujocoBodies):
         self._aims = targets, limits
         if self._world is not None:
             self._motors.aim(targets, limits)
+            self._motors.gains = self.motor_gains
 
     def advance(self, substeps: int) -> None:
         """Let so many substeps pass."""

@@ -30,6 +30,7 @@ class Motors:
     targets: dict[int, float] = field(default_factory=dict)  # set-points [rad] by joint
     limits: dict[int, float] = field(default_factory=dict)  # torque limits [N m] by joint
     torques: dict[int, float] = field(default_factory=dict)  # of the last substep [N m] by joint
+    gains: Array | None = None  # what each motor's gain is multiplied by; None for right ones
 
     def __post_init__(self) -> None:
         """Find the places of the driven joints; to be done again when others are driven."""
@@ -61,6 +62,7 @@ class Motors:
             return
         before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy(), data.time
         wanted = POSITION_GAIN_PER_SECOND * (self._targets - before[0][self._angles])  # speeds [rad/s]
+        wanted = wanted if self.gains is None else wanted * self.gains
         bound, solved = self._bound, 0
         while True:
             self._set(bound, wanted)

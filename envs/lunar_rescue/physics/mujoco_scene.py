@@ -60,7 +60,8 @@ class Contents:
     robot_handle: int = BASE
     base: tuple[Array, Array] = field(default_factory=lambda: (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
     pairs: set[tuple[int, int]] = field(default_factory=set)  # links that may meet each other
-    suits: dict[int, tuple[Limbs, float]] = field(default_factory=dict)  # limbs and mass [kg] by handle
+    # Limbs, mass [kg] and what their centre of gravity is off by, in the body frame (3,) [m], by handle.
+    suits: dict[int, tuple[Limbs, float, Array]] = field(default_factory=dict)
     fixed: dict[int, list[Hull]] = field(default_factory=dict)  # rocks and mounds by handle
     friction: float = 0.8  # until an episode sets its own
 
@@ -106,8 +107,8 @@ def compile_world(contents: Contents, robot: Any) -> World:
         for hull in hulls:
             _add_hull(spec, hull)
     _dress_robot(spec, contents, skip=ground)
-    for handle, (limbs, mass) in contents.suits.items():
-        _add_suit(spec, f"suit {handle}", limbs, mass)
+    for handle, suit in contents.suits.items():
+        _add_suit(spec, f"suit {handle}", *suit)
     _set_surfaces(spec, contents)
     with decimal_points():
         model = spec.compile()
@@ -150,10 +151,10 @@ def _base_name(spec: Any, contents: Contents) -> str:
     return next(str(body.name) for body in spec.bodies if body.name != "world" and body.name not in moved)
 
 
-def _add_suit(spec: Any, name: str, limbs: Limbs, mass: float) -> None:
+def _add_suit(spec: Any, name: str, limbs: Limbs, mass: float, offset: Array) -> None:
     """Add the astronaut as a body whose frame is that of the principal axes."""
     properties = mass_properties(limbs)
-    to_axes = Rotation.from_quat(properties.axes).inv()
+    centre, to_axes = properties.centre + offset, Rotation.from_quat(properties.axes).inv()
     body = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, 50.0])
     body.add_freejoint(name=name)
     body.explicitinertial, body.mass, body.inertia = True, mass, properties.inertia * mass
@@ -161,7 +162,7 @@ def _add_suit(spec: Any, name: str, limbs: Limbs, mass: float) -> None:
     for part in suit_parts(limbs):
         x, y, z, w = (to_axes * Rotation.from_quat(part.quaternion)).as_quat()
         geom = body.add_geom(type=KINDS[part.kind], size=_size(part), condim=6)
-        geom.pos, geom.quat = to_axes.apply(np.array(part.position) - properties.centre), [w, x, y, z]
+        geom.pos, geom.quat = to_axes.apply(np.array(part.position) - centre), [w, x, y, z]
 
 
 def _size(part: Part) -> list[float]:

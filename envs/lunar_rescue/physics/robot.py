@@ -1,7 +1,9 @@
 """The robot: a waist and two arms, read and driven through the simulation (P6)."""
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -128,6 +130,14 @@ class Robot:
         """Return the action that asks for these angles (11,) [rad], the inverse of Eq. 3, clipped to [-1, 1]."""
         return np.clip((angles - self.initial) / self.window, -1.0, 1.0)
 
+    def set_motors(self, torque: tuple[float, ...] = (), gains: tuple[float, ...] = ()) -> None:
+        """Give each motor a share of its torque limit and of its gain, (11,) each, from the next set-points on.
+
+        Without them motors are as they should be. What the robot knows of itself, its limits among it, stays the same.
+        """
+        self._torque_list = (self.torque_limits * torque if torque else self.torque_limits).tolist()
+        self._simulation.motor_gains = np.array(gains) if gains else None
+
     def rest(self) -> None:
         """Put the joints at q_init, where no link is near another."""
         self._simulation.reset_joints(self.handle, self._joints, self.initial)
@@ -157,6 +167,14 @@ class Robot:
         along = points[ENDS] - points[PLATES]
         along /= np.sqrt(np.einsum("ij,ij->i", along, along))[:, None]
         return RobotState(angles, speeds, torques, points, along)
+
+
+def checked_action(action: NDArray[np.floating[Any]]) -> Array:
+    """Return an action (11,) clipped to [-1, 1]; one of another shape, or that is not finite, is a ``ValueError``."""
+    array = np.asarray(action, dtype=np.float64)
+    if array.shape != (JOINTS,) or not math.isfinite(array.sum()):
+        raise ValueError(f"action: expected {JOINTS} finite numbers, got shape {array.shape}: {action!r}")
+    return np.minimum(np.maximum(array, -1.0), 1.0)
 
 
 def _check_limits(read: Array, limits: JointLimits) -> None:

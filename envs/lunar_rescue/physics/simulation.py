@@ -39,6 +39,7 @@ class Simulation(ABC):
         ground: Handle of the plane.
         relief: Handle of the mounds, None where the ground is smooth.
         friction: Coulomb coefficient between any two surfaces.
+        motor_gains: What gains are multiplied by (n,), in the order in which joints are driven; None for right ones.
     """
 
     settings: SolverSettings
@@ -46,6 +47,7 @@ class Simulation(ABC):
     ground: int
     relief: int | None
     friction: float
+    motor_gains: Array | None = None
 
     # -- building --------------------------------------------------------------------------------------------------
     @abstractmethod
@@ -93,8 +95,11 @@ class Simulation(ABC):
         """
 
     @abstractmethod
-    def add_suit(self, limbs: Limbs, mass: float) -> RigidBody:
-        """Make the astronaut's rigid body, far away; place it with ``place``."""
+    def add_suit(self, limbs: Limbs, mass: float, offset: Array | None = None) -> RigidBody:
+        """Make the astronaut's rigid body, far away; place it with ``place``.
+
+        ``offset`` (3,) [m], in the body frame, leads from the limbs' centre of gravity to the one that the body has.
+        """
 
     @abstractmethod
     def add_rock(self, rock: Rock) -> int:

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunar_rescue.scenes.postures import Posture, all_postures, footprint, postures, skyline
-from lunar_rescue.scenes.rocks import Rock, RockField, draw_field, draw_rocks
+from lunar_rescue.scenes.rocks import (
+    MAX_ROCKS,
+    ROCK_EXPONENT,
+    ROCK_SHAPES,
+    Rock,
+    RockField,
+    draw_field,
+    draw_rocks,
+    quarry,
+)
 from lunar_rescue.scenes.scene import FRICTION_RANGE, HELDOUT_MASSES, MASS_RANGE, TASKS, Scene
 from lunar_rescue.scenes.splits import HELD_OUT, split_of
 from lunar_rescue.scenes.targets import BEFORE_EDGE, approach_sides, target_areas
@@ -43,6 +52,7 @@ UNDER_BEHIND, UNDER_BEFORE, UNDER_ASIDE = 0.15, 0.16, 0.10
 # the straight way to a target, and aside of it [m]. Arms that go round or over it pass.
 IN_THE_WAY = 0.8
 WAY_AHEAD, WAY_ASIDE = (0.20, 0.45), (-0.18, 0.18)
+UNSEEN_TRIES = 10  # times ROCK_TRIES places for a rock that was not seen
 
 
 EASY_POSTURE = "left_side_stride"
@@ -189,8 +199,12 @@ class _Room:
             and _least_distance(self._body, x, y) > radius + BODY_FREE
         )
         if fit:
-            self._placed.append((x, y, rock.diameter))
+            self.remember(rock)
         return fit
+
+    def remember(self, rock: Rock) -> None:
+        """Let the next rocks keep off this one."""
+        self._placed.append((*self._to_body(rock.x, rock.y), rock.diameter))
 
 
 def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain, rng: Random, room: _Room) -> Rocks:
@@ -207,6 +221,28 @@ def _draw_rocks(field: RockField, centre: tuple[float, float], terrain: Terrain,
         return tuple(rocks)
     ground = terrain.height(np.array([rock.x for rock in rocks]), np.array([rock.y for rock in rocks])).tolist()
     return tuple(replace(rock, ground=height) for rock, height in zip(rocks, ground, strict=True))
+
+
+def unseen_rock(scene: Scene, diameter: float, rng: Random) -> Rock | None:
+    """Draw one more rock of a diameter [m] in the way to a target of a scene, where drawn rocks may lie.
+
+    A scene that has as many rocks as there may be gives one of its own; None where no place was found.
+    """
+    if len(scene.rocks) == MAX_ROCKS:
+        return rng.choice(scene.rocks)
+    pose, base = (
+        (scene.astronaut_x, scene.astronaut_y, scene.astronaut_yaw),
+        (scene.base_x, scene.base_y, scene.base_yaw),
+    )
+    room = _Room(scene.model, scene.task, scene.side, pose, base)
+    for rock in scene.rocks:
+        room.remember(rock)
+    for rock in draw_rocks(rng, pose[:2], RockField(UNSEEN_TRIES, quarry(ROCK_SHAPES, ROCK_EXPONENT), None)):
+        sized = replace(rock, diameter=diameter, height=rock.height * diameter / rock.diameter)
+        moved = room.into_the_way(rng, sized)
+        if room.fits(moved):
+            return replace(moved, ground=float(scene.terrain.height(np.array([moved.x]), np.array([moved.y]))[0]))
+    return None
 
 
 def _least_distance(points: Array, x: float, y: float) -> float:

@@ -188,6 +188,7 @@ class PlannerPolicy(Policy):
         self._planner = planner or RescuePlanner()
         self._step = 0
         self._plan: Plan | None = None
+        self._scene: Scene | None = None  # that it was made for
 
     @property
     def plan(self) -> Plan:
@@ -199,11 +200,13 @@ class PlannerPolicy(Policy):
     def plan_in(self, simulator: str) -> None:
         """Try plans out in another simulator from now on."""
         self._planner.close()
-        self._planner = RescuePlanner(simulator=simulator)
+        self._planner, self._scene = RescuePlanner(simulator=simulator), None
 
     def prepare(self, scene: Scene) -> None:
-        """Plan for the episode that is about to begin."""
-        self._plan, self._step = self._planner.plan(scene), 0
+        """Plan for the episode that is about to begin; the plan of the same scene as before is kept."""
+        if scene != self._scene:
+            self._plan, self._scene = self._planner.plan(scene), scene
+        self._step = 0
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """See ``Policy.act``; past its end, the plan's last action goes on."""
