@@ -26,8 +26,8 @@ from reproduce.storage.provenance import provenance
 
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
 DOCUMENTS = (
-    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "extending", "cluster"),
-    "report",
+    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "architecture"),
+    *("extending", "cluster", "report"),
 )
 PICTURE = ROOT / "docs" / "rescue.png"
 REPLAYS = "replays"
