@@ -196,7 +196,7 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
     return figure
 
 
-def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
+def success_by_posture(tested: dict[str, pd.DataFrame], title: str = "") -> Figure:
     """Draw a heat map of success [%] over postures and tasks; ``tested`` has each column's rows by its title."""
     rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
     pairs = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
@@ -207,4 +207,5 @@ def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
         rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
         annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
     )  # fmt: skip
+    axis.set(title=title)
     return figure

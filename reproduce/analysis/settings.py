@@ -54,6 +54,13 @@ def settings_table(preset: str) -> pd.DataFrame:
     return pd.DataFrame({**columns, "where from": [origins[row] for row in rows]}, index)
 
 
+def differing(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the settings that are not the same in every method that has them, without where they come from."""
+    methods = table.drop(columns="where from")
+    different = [len({str(value) for value in row if value != ""}) > 1 for row in methods.itertuples(index=False)]
+    return methods[different]
+
+
 def preset_table(method: str) -> pd.DataFrame:
     """Return a row a setting in which the presets of a method differ, and a column a preset."""
     settings = {name: _settings(get_method(method).config(name)) for name in PRESETS}
