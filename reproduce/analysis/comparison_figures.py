@@ -1,19 +1,20 @@
 """Draw the methods side by side: success beside the paper's, differences, learning, failures, conditions, trials."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.tables import SPLIT_TITLES, by_condition, paired_differences
-from reproduce.analysis.trainings import smooth
+from reproduce.analysis.trainings import pooled_interval, smooth
 from reproduce.experiments.methods import METHODS
-from reproduce.experiments.rows import wilson
 from reproduce.storage.paths import RESULTS
 
 _OURS, _PAPER = "#4c72b0", "#c44e52"
@@ -28,17 +29,14 @@ def against_paper(results: Path = RESULTS) -> Figure:
     for row, name in enumerate(names):
         if paper := METHODS[name].paper_success:
             axis.plot(100 * paper, row, "D", color=_PAPER, ms=7, label="the paper", zorder=3)
-        summaries = {split: _sums(runs, name, key) for split, key in SPLIT_TITLES.items()}
-        for (split, (successes, tests)), place, fill in zip(
-            summaries.items(), (-0.12, 0.16), ("full", "none"), strict=True
-        ):
-            if tests:
-                low, high = (100 * end for end in wilson(successes, tests))
-                axis.plot([low, high], [row + place] * 2, color=_OURS, lw=2)
-                label = f"here, {split} scenes" if split != "test" else "here, test scenes"
-                axis.plot(100 * successes / tests, row + place, "o", color=_OURS, fillstyle=fill, ms=8, label=label)
-        if not summaries["test"][1]:
-            axis.text(2, row, "no run here yet", va="center", size=9, color="#777777", style="italic")
+        for (split, key), place, fill in zip(SPLIT_TITLES.items(), (-0.12, 0.16), ("full", "none"), strict=True):
+            counts = [(s["successes"], s["tests"]) for run in runs if run.method == name and (s := run.summary(key))]
+            if counts:
+                rate = 100 * sum(part for part, _ in counts) / sum(whole for _, whole in counts)
+                axis.plot([100 * end for end in pooled_interval(counts)], [row + place] * 2, color=_OURS, lw=2)
+                axis.plot(rate, row + place, "o", color=_OURS, fillstyle=fill, ms=8, label=f"here, {split} scenes")
+            elif split == "test":
+                axis.text(2, row, "no run here yet", va="center", size=9, color="#777777", style="italic")
     axis.set(xlim=(-2, 102), xlabel="rescued [%], with 95 % intervals", ylim=(len(names) - 0.5, -0.5))
     axis.set_yticks(range(len(names)), [METHODS[name].title for name in names])
     _legend(axis)
@@ -55,16 +53,14 @@ def _legend(axis: Axes, **options: object) -> None:
         )
 
 
-def _sums(runs: Sequence[Run], method: str, name: str) -> tuple[int, int]:
-    """Return successes and tests of an evaluation over all trainings of a method."""
-    summaries = [s for run in runs if run.method == method and (s := run.summary(name))]
-    return sum(s["successes"] for s in summaries), sum(s["tests"] for s in summaries)
-
-
 def differences(results: Path = RESULTS) -> Figure | None:
-    """Draw how much more often HRL-DCS rescues than each other run on the same scenes; None without two such runs."""
+    """Draw how much more often HRL-DCS rescues than each other method; None without two runs on the same scenes.
+
+    Of each method it is the first training that was tested on the scenes of the first of HRL-DCS.
+    """
     tables = {title: paired_differences(results, name=name) for title, name in SPLIT_TITLES.items()}
-    rows = [(str(name), title, row) for title, table in tables.items() for name, row in table.iterrows()]
+    first = {(title, str(name).split()[2]): row for title, t in tables.items() for name, row in t[::-1].iterrows()}
+    rows = [(method, title, row) for (title, method), row in reversed(first.items())]
     if not rows:
         return None
     figure, axis = plt.subplots(figsize=(8, 1.4 + 0.35 * len(rows)), layout="constrained")
@@ -73,42 +69,45 @@ def differences(results: Path = RESULTS) -> Figure | None:
         axis.plot([100 * row["low"], 100 * row["high"]], [place] * 2, color=_OURS, lw=2)
         axis.plot(100 * row["difference"], place, "o", color=_OURS, fillstyle=fill, ms=8)
     axis.axvline(0, color="black", lw=1)
-    words = [f"{METHODS[n.split()[2]].title}, {n.split(maxsplit=3)[3]}, {title}" for n, title, _ in rows]
+    words = [f"{METHODS[method].title}, {title}" for method, title, _ in rows]
     axis.set_yticks(range(len(rows)), words)
     axis.set(xlabel="HRL-DCS rescues more often by [points]", ylim=(len(rows) - 0.5, -0.5))
     return figure
 
 
 def learning(runs: Sequence[Run]) -> Figure | None:
-    """Draw Fig. 6, return and success while training against environment steps and minutes; None without a curve."""
-    curves = {run.label: curve for run in runs if (curve := run.curve()) is not None}
+    """Draw Fig. 6, return and success while training against environment steps and minutes; None without a curve.
+
+    Trainings of a method have its colour.
+    """
+    curves = [(METHODS[run.method].title, curve) for run in runs if (curve := run.curve()) is not None]
+    colours = dict(zip(dict(curves), sns.color_palette("tab20", 20), strict=False))
     if not curves:
         return None
     figure, axes = plt.subplots(2, 2, figsize=(10, 6), layout="constrained", sharex="col", sharey="row")
-    for name, curve in curves.items():
+    for name, curve in curves:
         for column, x in enumerate((curve["env_steps"] / 1e6, curve["seconds"] / 60)):
-            axes[0, column].plot(x, smooth(curve["return_high"]), label=name)
-            axes[1, column].plot(x, 100 * smooth(curve["success"]), label=name)
+            axes[0, column].plot(x, smooth(curve["return_high"]), color=colours[name], label=name)
+            axes[1, column].plot(x, 100 * smooth(curve["success"]), color=colours[name])
     axes[0, 0].set(ylabel="return of the environment's reward")
     axes[1, 0].set(ylabel="rescued while training [%]", xlabel="million env steps, all agents")
     axes[1, 1].set(xlabel="minutes")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
+    once = dict(zip(*axes[0, 0].get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(once.values(), once.keys(), loc="outside right center", fontsize=8)
     return figure
 
 
 def failures(runs: Sequence[Run]) -> Figure | None:
-    """Draw how each run's tests ended, rescues and failures by cause; None without an evaluation."""
-    shares = {
-        run.label: {
-            "rescued": s["success_rate"],
-            **{k.replace("_", " "): v / s["tests"] for k, v in s["failures"].items()},
-        }
-        for run in runs
-        if (s := run.evaluation)
-    }
-    if not shares:
+    """Draw how each method's tests ended, rescues and failures by cause; None without an evaluation."""
+    counts: dict[str, Counter[str]] = {}
+    for run in runs:
+        if summary := run.evaluation:
+            ends = {"rescued": summary["successes"], **summary["failures"]}
+            counts.setdefault(METHODS[run.method].title, Counter()).update(ends)
+    if not counts:
         return None
-    table = 100 * pd.DataFrame(shares).T.fillna(0.0)
+    table = pd.DataFrame(counts).T.fillna(0.0).rename(columns=lambda word: str(word).replace("_", " "))
+    table = 100 * table.div(table.sum(axis=1), axis=0)
     figure, axis = plt.subplots(figsize=(9, 1.4 + 0.4 * len(table)), layout="constrained")
     table.plot.barh(stacked=True, ax=axis, width=0.7, colormap="tab10")
     axis.invert_yaxis()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -39,11 +40,8 @@ class Pool:
     @property
     def interval(self) -> tuple[float, float]:
         """Return Wilson's interval of all tests; for several trainings Student's of their rates where it is wider."""
-        low, high = wilson(int(self.rows["success"].sum()), len(self.rows))
-        if len(self.runs) > 1:
-            _, lower, higher = mean_interval(self.rates)
-            low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
-        return low, high
+        groups = self.rows.groupby("training")["success"]
+        return pooled_interval(list(zip(groups.sum(), groups.size(), strict=True)))
 
     @property
     def env_steps(self) -> int:
@@ -63,6 +61,16 @@ class Pool:
     def words(self) -> str:
         """Return the success rate with its interval in words."""
         return f"{self.method} {percent(self.rows['success'].mean(), self.interval)}"
+
+
+def pooled_interval(counts: Sequence[tuple[int, int]]) -> tuple[float, float]:
+    """Return an interval of successes and tests of one training or more: see ``Pool.interval``."""
+    successes, tests = (sum(column) for column in zip(*counts, strict=True))
+    low, high = wilson(int(successes), int(tests))
+    if len(counts) > 1:
+        _, lower, higher = mean_interval([part / whole for part, whole in counts])
+        low, high = max(0.0, min(low, lower)), min(1.0, max(high, higher))
+    return low, high
 
 
 def percent(rate: float, interval: tuple[float, float]) -> str:
