@@ -15,6 +15,7 @@ from reproduce.analysis import comparison_figures as drawings
 from reproduce.analysis.claims import Claim, compute_claims
 from reproduce.analysis.runs import reference_runs
 from reproduce.analysis.settings import differing, settings_table
+from reproduce.analysis.tables import paired_differences
 from reproduce.report.notebook import FOLDED
 from reproduce.report.site import first_page
 from reproduce.storage.paths import NOTEBOOKS, ROOT
@@ -90,6 +91,15 @@ def test_sentences_have_the_figures(tmp_path: Path, run_folder: Callable[..., Pa
     assert [label.get_text() for label in drawn.axes[0].get_yticklabels()] == ["FeUdal Networks", "HRL-DCS"]
     difference = drawings.differences(tmp_path)
     assert difference is not None and difference.axes[0].get_yticklabels()[0].get_text() == "FeUdal Networks, test"
+
+
+def test_pairs_are_there_with_and_without_runs(tmp_path: Path, run_folder: Callable[..., Path]) -> None:
+    assert comparison.split_pairs(paired_differences, results=tmp_path).empty
+    for method, outcomes in (("hrl_dcs", [True] * 4), ("hrl_dcs_no_aapf", [False] * 4), ("fun", [False] * 4)):
+        run_folder(tmp_path, method, outcomes=outcomes)
+    table = comparison.split_pairs(paired_differences, "hrl_dcs_no_aapf", results=tmp_path)
+    assert list(table.index) == [("test", "hrl_dcs - hrl_dcs_no_aapf seed 0")] and table["difference"].iloc[0] == 1.0
+    assert len(comparison.split_pairs(paired_differences, results=tmp_path)) == 2
 
 
 def test_a_claim_is_told_with_both_figures() -> None:

@@ -128,6 +128,10 @@ def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
     write_replay(recording, tmp_path / "x.html")
     text = (tmp_path / "x.html").read_text()
     assert len(text) < LARGEST and "__VISER_EMBED_DATA__=" in text
+    assert (
+        re.search(r"<title>(lift|turn over), [a-z ]+: failed by [a-z ]+</title>", text) and "Viser</title>" not in text
+    )
+    assert "Balls that shine through" in text and "history.back()" in text
     assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text)
 
 

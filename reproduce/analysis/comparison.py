@@ -139,5 +139,6 @@ def success_table(*methods: str, results: Path = RESULTS) -> pd.DataFrame:
 
 def split_pairs(make: Callable[..., pd.DataFrame], like: str = "", **arguments: Any) -> pd.DataFrame:
     """Return a table of pairs on test scenes above that on held-out ones; ``like`` chooses rows by what they name."""
-    tables = {title: make(name=name, **arguments).filter(like=like, axis=0) for title, name in SPLIT_TITLES.items()}
+    tables = {title: make(name=name, **arguments) for title, name in SPLIT_TITLES.items()}
+    tables = {title: table[[like in str(row) for row in table.index]] for title, table in tables.items()}
     return pd.concat(tables, names=["scenes"]).round(3)
