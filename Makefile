@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-fast test-slow test-report test-slurm batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
+.PHONY: help setup reproduce test test-fast test-slow test-report test-slurm ci-short batch timings lint format notebooks report reference evaluate-reference bench bench-peers clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 22
@@ -47,6 +47,10 @@ lint: $(STAMP)  ## what pre-commit runs
 
 format: $(STAMP)  ## format the code
 	$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+ci-short: $(STAMP)  ## every notebook in its shortest form, and the report without replays (under 4 minutes on 2 idle cores)
+	$(BIN)/reproduce notebooks --preset smoke --no-report -p tests=2 -p steps=512
+	$(BIN)/reproduce report --no-replays
 
 batch: $(STAMP)  ## everything as a workflow: all methods, training, tests, notebooks, report (PRESET=laptop, SEEDS=0)
 	$(BIN)/reproduce batch --preset $(or $(PRESET),laptop) --methods all --seeds $(or $(SEEDS),0)

@@ -102,7 +102,14 @@ def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) 
         assert "@@" not in text, page.name
         assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text), page.name
     text = first.read_text()
-    assert "no run in results/ yet" in text and "of 2 " in text.replace("least 2 ", "of 2 ")
+    assert "No HRL-DCS policy of this version of the environment has been trained and tested yet." in text
+    assert (
+        text.count('<span class="verdict ') == 8
+        and "at least 2 scenes" in text
+        and "doi.org/10.3390/aerospace9060315" in text
+    )
+    assert re.search(r'<img class="chart" src="results.png" alt="Recurrent PPO: [^"]+ of 2 tests of 1 training."', text)
+    assert (site / "results.png").stat().st_size > 5_000 and (site / "rescue.gif").is_file()
     bad = results / "notebooks" / "02_bad.ipynb"
     bad.write_text("{")
     with pytest.raises(Exception, match="JSON"):
@@ -121,6 +128,10 @@ def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
     write_replay(recording, tmp_path / "x.html")
     text = (tmp_path / "x.html").read_text()
     assert len(text) < LARGEST and "__VISER_EMBED_DATA__=" in text
+    assert (
+        re.search(r"<title>(lift|turn over), [a-z ]+: failed by [a-z ]+</title>", text) and "Viser</title>" not in text
+    )
+    assert "Balls that shine through" in text and "history.back()" in text
     assert not re.search(r'<(script|link|img)[^>]*(src|href)="https?:', text)
 
 

@@ -20,6 +20,7 @@ REPORT = RESULTS / "report"
 WIDTHS = (400, 1400)  # px, a telephone and a desk
 LARGEST = 5_000_000  # bytes of a replay
 OWN = [page for page in sorted(REPORT.rglob("*.html")) if page.parent.name != REPLAYS]
+TALLEST = 6_000  # px at the desk's width, of the first page, the tour, and replays; documents may be longer
 PICTURES = RESULTS / "scratch" / "screenshots"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -91,6 +92,22 @@ def test_links_lead_somewhere(browser: Browser, page: Path) -> None:
         if parts.fragment and target.suffix == ".html":
             ids = re.findall(r'\bid="([^"]+)"', target.read_text(encoding="utf-8"))
             assert unquote(parts.fragment) in {*ids, "__top"}, f"{page.name}: {link}"
+    tab.close()
+
+
+@pytest.mark.parametrize("page", [page for page in OWN if page.parent == REPORT], ids=lambda page: str(page.name))
+def test_a_page_is_not_too_tall(browser: Browser, page: Path) -> None:
+    tab, _ = open_page(browser, page, WIDTHS[1])
+    tab.evaluate("document.querySelectorAll('img[loading=lazy]').forEach(i => i.loading = 'eager')")
+    tab.wait_for_timeout(200)
+    assert tab.evaluate("document.documentElement.scrollHeight") <= TALLEST
+    tab.close()
+
+
+def test_the_answer_is_seen_without_scrolling(browser: Browser) -> None:
+    tab, _ = open_page(browser, REPORT / "index.html", WIDTHS[1])
+    below = tab.evaluate("document.querySelector('article figure img').getBoundingClientRect().bottom")
+    assert below <= 2 * 900, "answer and figure stand on the first two screens"
     tab.close()
 
 

@@ -158,6 +158,25 @@ def dwelling_against_finishing(table: pd.DataFrame) -> Figure:
     return grid.figure
 
 
+#: What notebook 3 shows of a training: columns of ``progress.csv`` and what they are called.
+CURVES = {
+    "return_high": "EXR a rescue (SGN)",
+    "return_low": "INR a rescue (LLN)",
+    "both_arms_under": "both arms under",
+    "success": "success",
+}
+
+
+def trials(table: pd.DataFrame) -> Figure:
+    """Draw how often both arms came under the body in short trainings, a curve for each value of ``trial``."""
+    figure, axis = plt.subplots(figsize=(9, 4), layout="constrained")
+    for name, trial in table.groupby("trial"):
+        axis.plot(trial["env_steps"], smooth(trial["both_arms_under"]), label=str(name).replace("_", " "))
+    axis.set(xlabel="env steps, all agents", ylabel="both arms under, while training")
+    axis.legend(title="trial", fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
 def learning_curves(table: pd.DataFrame, columns: dict[str, str], title: str = "") -> Figure:
     """Draw curves of one run over env steps, one panel a column (name to label)."""
     figure, axes = plt.subplots(1, len(columns), figsize=(4.4 * len(columns), 3.6), layout="constrained", squeeze=False)
@@ -180,7 +199,7 @@ def convergence(curves: dict[str, pd.DataFrame], column: str, label: str, by: st
     return figure
 
 
-def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
+def success_by_posture(tested: dict[str, pd.DataFrame], title: str = "") -> Figure:
     """Draw a heat map of success [%] over postures and tasks; ``tested`` has each column's rows by its title."""
     rates = pd.DataFrame({run: rows.groupby(["posture", "task"])["success"].mean() for run, rows in tested.items()})
     pairs = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
@@ -191,6 +210,7 @@ def success_by_posture(tested: dict[str, pd.DataFrame]) -> Figure:
         rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
         annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
     )  # fmt: skip
+    axis.set(title=title)
     return figure
 
 

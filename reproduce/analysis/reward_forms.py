@@ -43,3 +43,17 @@ def largest_honest_beta(gamma: float, max_steps: int, after: int, factor: float 
     """Return the largest beta at which finishing in step ``after`` beats dwelling to the limit in the literal form."""
     loss = discounted(1.0, max_steps, gamma) - discounted(1.0, after, gamma)
     return gamma ** (after - 1) * factor * time_bonus(after, max_steps) / loss
+
+
+def forms_table(beta: float, gamma: float, max_steps: int, after: int = 40, away: float = 0.3) -> pd.DataFrame:
+    """Return what both forms pay for dwelling, for finishing ``after`` steps and for staying ``away`` [m] so long."""
+    forms: tuple[ApproachForm, ...] = ("literal", "signed")
+    rows = {
+        form: {
+            "dwelling to the limit": dwelling(form, beta, gamma, max_steps),
+            f"finishing after {after} steps": finishing(form, beta, gamma, max_steps, after),
+            f"{after} steps {away} m from the best": wandering(form, beta, gamma, after, away),
+        }
+        for form in forms
+    }
+    return pd.DataFrame(rows).T.round(3).rename_axis("form")

@@ -158,3 +158,9 @@ def _run(folder: Path) -> Run:
 def runs_of(method: str, results: Path = RESULTS) -> list[Run]:
     """Return the reference runs of one method that were evaluated."""
     return [run for run in reference_runs(results) if run.method == method and run.evaluation is not None]
+
+
+def runs_with_curves(*methods: str, results: Path = RESULTS, kind: str = REFERENCE) -> list[Run]:
+    """Return the runs of these methods, or of all without one named, that have a learning curve."""
+    runs = reference_runs(results, kind)
+    return [run for run in runs if run.method in (methods or METHODS) and run.curve() is not None]

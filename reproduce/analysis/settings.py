@@ -9,7 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from reproduce.experiments.methods import METHODS
+from reproduce.experiments.methods import METHODS, get_method
+from reproduce.experiments.presets import PRESETS
 from reproduce.learning.config import TrainingConfig
 
 #: What parts of a configuration are called in tables.
@@ -51,6 +52,21 @@ def settings_table(preset: str) -> pd.DataFrame:
     columns = {name: [own[row][0] if row in own else "" for row in rows] for name, own in settings.items()}
     index = pd.MultiIndex.from_tuples(rows, names=["of", "setting"])
     return pd.DataFrame({**columns, "where from": [origins[row] for row in rows]}, index)
+
+
+def differing(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the settings that are not the same in every method that has them, without where they come from."""
+    methods = table.drop(columns="where from")
+    different = [len({str(value) for value in row if value != ""}) > 1 for row in methods.itertuples(index=False)]
+    return methods[different]
+
+
+def preset_table(method: str) -> pd.DataFrame:
+    """Return a row a setting in which the presets of a method differ, and a column a preset."""
+    settings = {name: _settings(get_method(method).config(name)) for name in PRESETS}
+    rows = [row for row in settings["paper"] if len({str(own[row][0]) for own in settings.values()}) > 1]
+    index = pd.MultiIndex.from_tuples(rows, names=["of", "setting"])
+    return pd.DataFrame({name: [own[row][0] for row in rows] for name, own in settings.items()}, index, dtype=object)
 
 
 def _settings(config: TrainingConfig) -> dict[tuple[str, str], tuple[Any, str]]:

@@ -25,6 +25,7 @@ class HighLevel:
         """Begin with empty memories of ``count`` environments, in which N is ``interval``."""
         self.memory, self.goals, self._interval = Memory(sgn, count), goals, interval
         self.subgoals = np.zeros((count, goals.size), np.float32)
+        self.outputs = np.zeros((count, goals.outputs), np.float32)  # that commanded them
         self._left = np.zeros(count, np.int64)  # steps until the next sub-goal
 
     def advance(self, observations: Floats, starts: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -37,9 +38,8 @@ class HighLevel:
         self.memory.forget(starts)
         rows = np.flatnonzero(starts | (self._left <= 0))
         if len(rows):
-            outputs = np.zeros((len(observations), self.goals.outputs), np.float32)
-            outputs[rows] = self.command(observations[rows], rows, starts[rows])
-            self.subgoals[rows] = self.goals.subgoals(outputs)[rows]
+            self.outputs[rows] = self.command(observations[rows], rows, starts[rows])
+            self.subgoals[rows] = self.goals.subgoals(self.outputs)[rows]
             self._left[rows] = self._interval
         return rows
 
@@ -70,18 +70,22 @@ class HierarchicalPolicy(MirroredPolicy):
 
     def begin(self, count: int) -> None:
         """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
-        self._high = HighLevel(self.networks[0], self._goals, self.layers.interval, count)
-        self._low = Memory(self.networks[1], count)
+        self.high = HighLevel(self.networks[0], self._goals, self.layers.interval, count)
+        self.low = Memory(self.networks[1], count)
 
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return LLN's outputs (n, JOINTS); see ``MirroredPolicy``."""
-        self._high.advance(observations, starts)
-        self._low.forget(starts)
-        return self._low.act(self._high.view(observations), np.arange(len(observations)))
+        self.high.advance(observations, starts)
+        self.low.forget(starts)
+        return self.low.act(self.high.view(observations), np.arange(len(observations)))
 
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return the sub-goals in the base frame, (n, 2, 3) [m]."""
-        return {"sub-goal": self._mirror.points(self._high.subgoals.reshape(-1, 2, 3))}
+        return {"sub-goal": self._mirror.points(self.high.subgoals.reshape(-1, 2, 3))}
+
+    def commands(self) -> NDArray[Any]:
+        """Return SGN's outputs for arm A and arm B of the robot, however scenes are seen, (n, 2, 3) in [-1, 1]."""
+        return self._mirror.points(self.high.outputs.reshape(-1, 2, 3))
 
 
 def network_sizes(config: HierarchicalPolicyConfig) -> dict[str, tuple[int, int]]:

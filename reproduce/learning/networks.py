@@ -143,6 +143,12 @@ class Memory:
         self._network = network
         self._states = th.zeros(2, 1, count, network.lstm_actor.hidden_size)  # hidden and cell state
 
+    def copy(self) -> "Memory":
+        """Return a memory that goes on from the same states by itself."""
+        other = Memory(self._network, self._states.shape[2])
+        other._states.copy_(self._states)
+        return other
+
     def forget(self, starts: NDArray[np.bool_]) -> None:
         """Empty the states of environments (n,) that begin an episode."""
         self._states[:, :, th.from_numpy(np.asarray(starts, bool))] = 0.0

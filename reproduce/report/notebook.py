@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import logging
 import re
 from dataclasses import dataclass
@@ -11,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import numpy as np
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
+from PIL import Image
 
 from reproduce.report.notebooks import failed_output
 from reproduce.report.rendering import TEMPLATES, render
@@ -20,6 +24,9 @@ from reproduce.report.rendering import TEMPLATES, render
 _CODE, _BLOCK = r"```.*?```|`[^`\n]*`", r"\$\$(?P<block>.+?)\$\$"
 _INLINE = r"(?<![\\$\w])\$(?!\s)(?P<inline>[^$\n]+?)(?<!\s)\$(?![\w$])"
 _CODE_OR_MATHEMATICS = re.compile(f"{_CODE}|{_BLOCK}|{_INLINE}", re.DOTALL)
+_DATA_IMAGE = re.compile(r'<img [^>]*src="data:image/png;base64,(?P<data>[^"]+)"')
+FOLDED = "fold"  # tag of cells whose output is an appendix
+WHITE, PAPER = 250, 0.35  # least brightness of white, of 255; least share of it in a chart
 _HEADING = re.compile(r"^#{1,3} +(.+)$", re.MULTILINE)
 
 
@@ -61,10 +68,10 @@ def notebook_page(path: Path) -> Page:
     cells = [cell for cell in document.cells if "injected-parameters" not in cell.metadata.get("tags", [])]
     for index, cell in enumerate(cells):
         if cell.cell_type == "markdown":
-            text = mark_mathematics(cell.source, pieces, prefix)
-            for heading in _HEADING.findall(text):
+            for found in _HEADING.findall(cell.source):
+                heading = found.replace("$", "")
                 title = title or heading
-            texts.append(text)
+            texts.append(mark_mathematics(cell.source, pieces, prefix))
         elif cell.cell_type == "code" and cell.source.strip():
             mark = f"@@{prefix}cell{index}@@"
             pieces[mark] = _cell_html(cell, heading, f"notebooks/{path.name}, cell {index + 1}")
@@ -96,5 +103,16 @@ def _cell_html(cell: Any, heading: str, where: str) -> str:
     body = re.sub(r'<table border="\d+" class="dataframe">', "<table>", body)
     alt = html.escape(re.sub(r"[@$`*_]+", "", heading).strip(), quote=True)
     body = re.sub(r'(<img [^>]*?) alt="[^"]*"', r"\1", body).replace("<img ", f'<img alt="{alt}" loading="lazy" ')
+    body = _DATA_IMAGE.sub(_as_chart, body)
     origin = f'<p class="origin">{where}</p>' if cell.outputs else ""
-    return f'<div class="cell">{body}{origin}</div>'
+    whole = f'<div class="cell">{body}{origin}</div>'
+    if FOLDED not in cell.metadata.get("tags", []):
+        return whole
+    return f'<details class="folded"><summary>{html.escape(heading)}: show the table</summary>{whole}</details>'
+
+
+def _as_chart(match: re.Match[str]) -> str:
+    """Mark a picture that is mostly white paper as a chart, which the style turns dark with the page."""
+    with Image.open(io.BytesIO(base64.b64decode(match["data"]))) as picture:
+        white = np.asarray(picture.convert("L").resize((64, 64))) > WHITE
+    return match[0].replace("<img ", '<img class="chart" ') if white.mean() > PAPER else match[0]

@@ -1,5 +1,6 @@
 """Build the site with Material for MkDocs: first page, notebooks, replays, policies and documentation."""
 
+import html
 import logging
 import os
 import re
@@ -9,15 +10,20 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from reproduce.analysis.claims import compute_claims
+from reproduce.analysis.comparison import choose_scene
+from reproduce.analysis.comparison_figures import against_paper
 from reproduce.analysis.runs import Run, reference_runs
-from reproduce.analysis.tables import readable_table1
+from reproduce.analysis.sentences import answer, figures_of, tell_success
+from reproduce.analysis.two_layers import best_two_layer_run
 from reproduce.analysis.verdicts import LEAST_TRAININGS
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
+from reproduce.report.film import replay
 from reproduce.report.notebook import Page, fill_in, notebook_page
 from reproduce.report.rendering import render
 from reproduce.report.viewer import Clip, choose_clips, make_clips
@@ -27,11 +33,19 @@ from reproduce.storage.provenance import provenance
 
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
 DOCUMENTS = (
-    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "statistics", "extending"),
-    *("cluster", "simulators", "reality_gap", "report"),
+    *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "statistics"),
+    *("architecture", "extending", "cluster", "simulators", "reality_gap", "report"),
 )
-PICTURE = ROOT / "docs" / "rescue.png"
+PICTURES = tuple(ROOT / "docs" / name for name in ("rescue.png", "rescue.gif"))  # that pages name
+CHART, MOVING = "results.png", "rescue.gif"
+SMALL = (320, 240)  # px, of the moving picture
 REPLAYS = "replays"
+KNOWS_ALL = "The planner, which sees the whole simulation as no robot could"  # who acts in docs/rescue.gif
+#: Classes of the style for what verdicts are called; any other word is left open.
+COLOURS = {
+    "agrees": "agrees",
+    "differs": "differs",
+}
 FOR_SERVERS = ("sitemap.xml", "sitemap.xml.gz", "404.html")
 
 
@@ -50,14 +64,19 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
         pages = {path.stem: notebook_page(path) for path in outputs}
         clips = choose_clips(runs) if replays else []
         endings = make_clips(clips, sources / REPLAYS) if clips else {}
+        if replays and (best := best_two_layer_run(results)) is not None and best.rows() is not None:
+            replay(*choose_scene(success=True, first_seed=0, results=results), sources / MOVING, size=SMALL)
         texts = _texts(pages, endings, runs, results)
         for file, text in texts.items():
             write_text(sources / file, text)
         shutil.copyfile(STYLE, sources / STYLE.name)
-        if PICTURE.is_file():
+        for picture in filter(Path.is_file, PICTURES):
             for folder in (sources, sources / "docs"):
-                shutil.copyfile(PICTURE, folder / PICTURE.name)
-        _build(sources, site, _navigation(texts, runs))
+                shutil.copyfile(picture, folder / picture.name)
+        figure = against_paper(results)
+        figure.savefig(sources / CHART, dpi=110)
+        plt.close(figure)
+        _build(sources, site, _navigation(texts, runs, {f"{name}.md": page.title for name, page in pages.items()}))
         for page in set(site.rglob("*.html")) - set((site / REPLAYS).glob("*")):
             text = page.read_text(encoding="utf-8")
             for notebook in pages.values():
@@ -72,8 +91,8 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
 
 def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], results: Path) -> dict[str, str]:
     """Return the Markdown of each page of the site by its file, in the site's order."""
-    texts = {"index.md": first_page(runs, results, endings)}
-    texts |= {f"{name}.md": page.text for name, page in pages.items()}
+    texts = {"index.md": first_page(runs, results, endings, "06_claims.md" if "06_claims" in pages else None)}
+    texts |= {f"{name}.md": _document_links(page.text) for name, page in pages.items()}
     if endings:
         texts["replays.md"] = render("replays.md", endings=endings, replays=REPLAYS)
     for run in runs:
@@ -83,6 +102,11 @@ def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], re
         if path.is_file():
             texts[f"docs/{path.name}"] = _local_links(path.read_text(encoding="utf-8"))
     return texts
+
+
+def _document_links(text: str) -> str:
+    """Turn the names of documents in backticks into links, where the site has them."""
+    return re.sub(rf"`docs/({'|'.join(DOCUMENTS)})\.md`", r"[\1](docs/\1.md)", text)
 
 
 def _policy_file(run: Run) -> str:
@@ -95,15 +119,15 @@ def _local_links(text: str) -> str:
     return re.sub(rf"(?<!!)\[([^\]]+)\]\((?!https?:|#|(?:{pages})(?:#|\)))[^)]*\)", r"\1", text)
 
 
-def _navigation(texts: dict[str, str], runs: list[Run]) -> list[dict[str, Any]]:
+def _navigation(texts: dict[str, str], runs: list[Run], titles: dict[str, str]) -> list[dict[str, Any]]:
     """Return the site's parts and their pages, as MkDocs wants its ``nav``."""
     notebooks = [name for name in texts if name[:2].isdecimal()]
-    titles = {_policy_file(run): f"{METHODS[run.method].title}, seed {run.seed}" for run in runs}
+    policies = {_policy_file(run): f"{METHODS[run.method].title}, seed {run.seed}" for run in runs}
     parts: dict[str, Any] = {
         "Summary": "index.md",
-        "The tour": [{Path(name).stem.replace("_", " "): name} for name in notebooks],
+        "The tour": [{titles[name].partition(":")[0]: name} for name in notebooks],
         "Replays": "replays.md" if "replays.md" in texts else None,
-        "Trained policies": [{title: name} for name, title in titles.items() if name in texts],
+        "Trained policies": [{title: name} for name, title in policies.items() if name in texts],
         "Documentation": [name for name in texts if name.startswith("docs/")],
     }
     return [{title: part} for title, part in parts.items() if part]
@@ -120,19 +144,20 @@ def _build(sources: Path, site: Path, navigation: list[dict[str, Any]]) -> None:
         (site / name).unlink(missing_ok=True)
 
 
-def first_page(runs: list[Run], results: Path, endings: dict[Clip, str]) -> str:
-    """Return what it is, the results beside the paper's, the claims, how far to trust it, how to run it again."""
-    trained = [run for run in runs if run.origin and run.evaluation]
+def first_page(runs: list[Run], results: Path, endings: dict[Clip, str], rules: str | None = None) -> str:
+    """Return whether the paper holds, each claim in a line, a rescue, how to run it and how far to trust it.
+
+    ``rules`` is the page that has the rules of the verdicts, if the site has one.
+    """
+    trained, claims = [run for run in runs if run.origin and run.evaluation], compute_claims(results)
+    best = best_two_layer_run(results) if endings else None
+    shown = f"{METHODS[best.method].title}, as trained here" if best and best.evaluation else KNOWS_ALL
     return render(
         "index.md",
-        runs=runs,
-        trained=trained,
+        **{"runs": runs, "trained": trained, "methods": METHODS, "least_trainings": LEAST_TRAININGS},
         seeds=list(Counter(run.method for run in trained).values()),
-        least_trainings=LEAST_TRAININGS,
-        methods=METHODS,
-        table1=readable_table1(results),
-        claims=compute_claims(results),
-        picture=PICTURE if PICTURE.is_file() else None,
+        **{"claims": claims, "answer": answer(claims, results), "figures_of": figures_of, "colours": COLOURS},
+        **{"rules": rules, "chart": CHART, "chart_alt": html.escape(" ".join(tell_success(results).split()))},
+        **{"picture": MOVING if PICTURES[1].is_file() or best else None, "shown": shown, "replays": REPLAYS},
         clip=next((clip for clip in endings if clip.file.startswith("hrl_dcs-") and "success" in clip.file), None),
-        replays=REPLAYS,
     )

@@ -5,6 +5,8 @@ The report has a success and a failure of each method, and every posture.
 
 from __future__ import annotations
 
+import html
+import re
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -31,6 +33,16 @@ from reproduce.storage.processes import map_in_processes
 BEGIN = 0.3  # s that the first picture stays
 MOST_SCENES = 3000  # looked through for a posture
 LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
+#: What stands over a replay: what its colours mean, and the way back.
+_LEGEND = (
+    "Balls that shine through: target areas, blue for arm A, orange for arm B; green: sub-goals. Lines: arm ends to "
+    "targets, joints to the nearest rocks, red when near. Drag to turn, scroll to come nearer."
+)
+_LEGEND_STYLE = (
+    "position:fixed;left:8px;top:8px;z-index:9;max-width:min(20rem,60vw);padding:.4rem .6rem;border-radius:.3rem;"
+    "background:rgba(0,0,0,.6);color:#eee;font:12px/1.4 sans-serif"
+)
+_BACK = 'href="javascript:history.back()" style="color:#9cf"'
 
 
 @dataclass(frozen=True)
@@ -67,10 +79,20 @@ def write_replay(recording: Recording, out: Path) -> None:
             actors.show(moment)
             serializer.insert_sleep(1.0 / FRAMES_PER_SECOND)
         serializer.insert_sleep(LAST_SECONDS)
-        page = serializer.as_html(dark_mode=True)
+        page = _with_legend(serializer.as_html(dark_mode=True), recording)
     if len(page) > LARGEST:
         raise UserError(f"{out}: the replay would take {len(page)} bytes, more than {LARGEST}")
     write_text(out, page)
+
+
+def _with_legend(page: str, recording: Recording) -> str:
+    """Give Viser's page a title of its own, what its colours mean, and a way back."""
+    scene = recording.scene
+    title = html.escape(f"{scene.task}, {scene.posture}: {ending(recording.row)}".replace("_", " "))
+    legend = f'<div style="{_LEGEND_STYLE}"><b>{title}</b><br>{_LEGEND} <a {_BACK}>back</a></div>'
+    page = re.sub(r"<title>[^<]*</title>", lambda _: f"<title>{title}</title>", page, count=1)
+    head, body, rest = page.rpartition("</body>")
+    return head + legend + body + rest if body else page + legend
 
 
 @dataclass(frozen=True)
