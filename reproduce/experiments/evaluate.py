@@ -110,9 +110,10 @@ def rescue_scenes(
     """
     seeds = scene_seeds(tests, first_seed)
     known_simulator(simulator)
-    find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
+    _, policy = find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
     job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator)
-    return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
+    how: dict[str, Any] = {"title": Path(where).name, "workers": workers, "quiet": quiet}
+    return map_scenes(job, seeds, _prepare, arguments, needs=[type(policy).__module__], **how)
 
 
 def evaluate(

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker, util
 from types import FrameType
@@ -65,8 +65,11 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
         os.kill(os.getpid(), by)
 
 
-def start_fork_server() -> None:
-    """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
+def start_fork_server(*modules: str) -> None:
+    """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start.
+
+    It imports ``modules`` once for all workers, in its own time. A server that runs already stays as it is.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
     own_folder = tempfile.gettempdir()
     if len(own_folder) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
@@ -76,6 +79,7 @@ def start_fork_server() -> None:
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+        forkserver.set_forkserver_preload(list(modules))
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
@@ -87,18 +91,23 @@ def map_in_processes(
     workers: int | None = None,
     prepare: Callable[..., object] | None = None,
     arguments: tuple[Any, ...] = (),
+    needs: Iterable[str] = (),
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
     There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
-    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
+    over can be pickled. ``needs`` names modules, besides those of ``job`` and ``prepare``, that are imported once for
+    all workers rather than by each. A worker that was killed or crashed is a ``RunFailedError``.
     """
-    start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers or len(os.sched_getaffinity(0)), context, _begin, (prepare, arguments))
-    with pool:
+    with ExitStack() as stack:
         try:
-            for answer in [pool.submit(job, item) for item in items]:
+            with signals_held():  # an interruption would leave workers, threads and locks of the pool half made
+                start_fork_server(*_modules(job, prepare), *needs)
+                count = workers or len(os.sched_getaffinity(0))
+                pool = stack.enter_context(ProcessPoolExecutor(count, context, _begin, (prepare, arguments)))
+                answers = [pool.submit(job, item) for item in items]
+            for answer in answers:
                 yield answer.result()
         except BaseException as error:
             # Jobs are not cancelled but lose their workers: in Python 3.11 a pool that breaks with cancelled jobs in
@@ -110,10 +119,39 @@ def map_in_processes(
             raise
 
 
+def _modules(*functions: Callable[..., object] | None) -> list[str]:
+    """Return the names of the modules in which functions are defined, partial ones too."""
+    whole = [getattr(function, "func", function) for function in functions]
+    return [function.__module__ for function in whole if function is not None and function.__module__]
+
+
 def _begin(prepare: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
     die_with_parent()
     if prepare is not None:
         prepare(*arguments)
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Let signals of ``STOPPING`` that Python handles wait for the end of a block that must not be left half done.
+
+    Handlers are exchanged, as blocking signals in one thread lets another one take them, and handlers run in the main
+    thread all the same. In other threads, which are not interrupted, this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    handlers = {number: handler for number in STOPPING if callable(handler := signal.getsignal(number))}
+    try:
+        for number in handlers:
+            signal.signal(number, lambda number, frame: came.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 @dataclass
