@@ -20,6 +20,7 @@ from reproduce.experiments.pool import known_simulator, map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
 from reproduce.learning.policy import Policy
 from reproduce.storage.files import check_writable, write_json
+from reproduce.storage.processes import start_fork_server
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
@@ -110,10 +111,11 @@ def rescue_scenes(
     """
     seeds = scene_seeds(tests, first_seed)
     known_simulator(simulator)
-    _, policy = find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
+    learned = ["reproduce.learning.networks"] if Path(where).is_dir() else []
+    start_fork_server(__name__, *learned)  # it imports for the workers while this process does for itself
+    find_policy(where, ablation)  # a bad run folder fails here, in one line, and not in a worker
     job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator)
-    how: dict[str, Any] = {"title": Path(where).name, "workers": workers, "quiet": quiet}
-    return map_scenes(job, seeds, _prepare, arguments, needs=[type(policy).__module__], **how)
+    return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
 
 
 def evaluate(

@@ -1,6 +1,6 @@
 """Work on many scenes, one scene a job, in as many processes as there are cores."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from gymnasium.error import DependencyNotInstalled
@@ -74,15 +74,14 @@ def map_scenes(
     title: str = "scenes",
     workers: int | None = None,
     quiet: bool = False,
-    needs: Iterable[str] = (),
 ) -> list[Row]:
     """Return a function's answers to all seeds, in their order, and show how far it has come meanwhile.
 
     ``function`` and what ``initializer`` is called with, once in each worker, must pickle; ``workers`` None is one a
-    core; ``needs`` names further modules that workers need, see ``map_in_processes``.
+    core.
 
     Raises:
         RunFailedError: When a worker was killed or crashed.
     """
-    answers = map_in_processes(function, seeds, workers, initializer, arguments, needs)
+    answers = map_in_processes(function, seeds, workers, initializer, arguments)
     return list(tqdm(answers, total=len(seeds), unit="scene", desc=title, disable=quiet))

@@ -91,19 +91,18 @@ def map_in_processes(
     workers: int | None = None,
     prepare: Callable[..., object] | None = None,
     arguments: tuple[Any, ...] = (),
-    needs: Iterable[str] = (),
 ) -> Iterator[Result]:
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
     There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
-    over can be pickled. ``needs`` names modules, besides those of ``job`` and ``prepare``, that are imported once for
-    all workers rather than by each. A worker that was killed or crashed is a ``RunFailedError``.
+    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``. Modules of ``job`` and ``prepare``
+    are imported once for all workers; for others call ``start_fork_server`` before.
     """
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
     with ExitStack() as stack:
         try:
             with signals_held():  # an interruption would leave workers, threads and locks of the pool half made
-                start_fork_server(*_modules(job, prepare), *needs)
+                start_fork_server(*_modules(job, prepare))
                 count = workers or len(os.sched_getaffinity(0))
                 pool = stack.enter_context(ProcessPoolExecutor(count, context, _begin, (prepare, arguments)))
                 answers = [pool.submit(job, item) for item in items]
