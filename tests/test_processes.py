@@ -149,3 +149,21 @@ def test_modules_are_imported_once_for_all_workers(tmp_path: Path) -> None:
 def test_workers_of_environments_import_nothing_that_learns() -> None:
     code = "import sys, reproduce.learning.worker_process; print({'torch', 'stable_baselines3'} & set(sys.modules))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+
+
+@pytest.mark.process
+def test_a_signal_that_python_drops_in_a_callback_comes_again() -> None:
+    """Imports end in such a callback, so that a signal could be lost while a command started."""
+    code = (
+        "import os, signal, sys, time, weakref; from reproduce.storage.processes import stop_signals\n"
+        "class Thing: pass\n"
+        "with stop_signals() as stop:\n"
+        "    try:\n"
+        "        thing = Thing(); seen = weakref.ref(thing, lambda _: os.kill(os.getpid(), 15)); del thing\n"
+        "        time.sleep(20)\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(stop.code)\n"
+    )
+    begun = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout + done.stderr) == (143, "") and time.monotonic() - begun < 15

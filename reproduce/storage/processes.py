@@ -9,6 +9,7 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import tempfile
 import threading
 import time
@@ -26,6 +27,7 @@ from reproduce.storage.errors import RunFailedError
 #: Signals by which people, terminals, schedulers and ``timeout`` ask a command to end.
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SAME_REQUEST = 1.0  # s
+AGAIN = 0.05  # s
 _TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
 _LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
 _PR_SET_PDEATHSIG = 1
@@ -171,7 +173,8 @@ def stop_signals() -> Iterator[Stop]:
     """Turn signals of ``STOPPING`` into a KeyboardInterrupt, so that files are closed and workers stopped.
 
     What comes again within ``SAME_REQUEST`` is the same request: ``timeout`` and closing terminals signal a process and
-    then its group. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored.
+    then its group. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored. An interruption that Python
+    drops, as it does with whatever is raised in a callback of its import system, comes again.
     """
     stop = Stop()
 
@@ -181,12 +184,21 @@ def stop_signals() -> Iterator[Stop]:
         if stop.time - before > SAME_REQUEST:
             raise KeyboardInterrupt
 
+    def again(dropped: "sys.UnraisableHookArgs") -> None:
+        if stop.number and issubclass(dropped.exc_type, KeyboardInterrupt):
+            stop.time = -math.inf
+            threading.Timer(AGAIN, os.kill, (os.getpid(), stop.number)).start()  # not yet, as this is the callback
+        else:
+            tell(dropped)
+
     handlers = {number: signal.getsignal(number) for number in STOPPING}
     handlers = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
     for number in handlers:
         signal.signal(number, handle)
+    tell, sys.unraisablehook = sys.unraisablehook, again
     try:
         yield stop
     finally:
+        sys.unraisablehook = tell
         for number, handler in handlers.items():
             signal.signal(number, handler)
