@@ -16,6 +16,7 @@ from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.rows import as_table, summarise, write_rows
 from reproduce.storage.files import write_json
+from reproduce.storage.processes import start_fork_server
 from reproduce.storage.records import to_dict
 
 # A shell starts what runs in the background deaf to Ctrl-C, and processes that tests start would inherit that.
@@ -43,6 +44,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for share, size in zip(shares, sizes, strict=True):
         share += itertools.islice(rest, max(0, size - len(share)))
     items[:] = [*itertools.chain(*shares), *rest]
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Let one fork server import, once for all tests, what their workers need; it starts with the first such test."""
+    if item.get_closest_marker("process"):
+        start_fork_server("reproduce.experiments.evaluate", "reproduce.hrl_dcs.policy", "reproduce.baselines.scripted")
 
 
 @pytest.fixture(scope="module")

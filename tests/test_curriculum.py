@@ -16,7 +16,7 @@ from lunar_rescue.scenes.scene import MASS_RANGE
 from reproduce.experiments.methods import METHODS
 from reproduce.hrl_dcs.goals import PlainGoals
 from reproduce.learning.training import episode_summary, make_environments
-from reproduce.learning.workers import EnvOptions, _options
+from reproduce.learning.worker_process import EnvOptions, scene_options
 
 
 def test_easy_scenes_have_one_posture_no_rocks_and_the_lightest_astronaut() -> None:
@@ -35,7 +35,7 @@ def test_easy_scenes_have_one_posture_no_rocks_and_the_lightest_astronaut() -> N
 
 def test_lying_postures_are_drawn_more_often_and_rates_are_weighed_back() -> None:
     names = [name for name, p in postures().items() for _ in range(1 if p.attitude.endswith("side") else 3)]
-    drawn = Counter(_options(seed, EnvOptions({}, tuple(names)))["posture"] for seed in range(len(names)))
+    drawn = Counter(scene_options(seed, EnvOptions({}, tuple(names)))["posture"] for seed in range(len(names)))
     lying = {name for name, p in postures().items() if not p.attitude.endswith("side")}
     assert {drawn[name] for name in lying} == {3} and {drawn[name] for name in set(postures()) - lying} == {1}
     common = {"both_arms_under": True, "exr": 1.0, "inr": 1.0, "steps": 5}

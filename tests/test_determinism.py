@@ -15,7 +15,8 @@ from lunar_rescue.physics import bodies
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.splits import HELDOUT, TEST, TRAIN
 from reproduce.baselines.scripted import ScriptedPolicy
-from reproduce.learning.workers import WorkerVecEnv, train_seed
+from reproduce.learning.worker_process import train_seed
+from reproduce.learning.workers import WorkerVecEnv
 
 SCENES = [*range(TEST.start, TEST.start + 8), HELDOUT.start, HELDOUT.start + 1]
 

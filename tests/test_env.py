@@ -172,6 +172,7 @@ def test_contact_reward_replaces_the_aapf_term_and_nothing_else() -> None:
     ablated.close()
 
 
+@pytest.mark.process  # a hundred rescues take a quarter of a minute
 def test_coming_near_a_rock_costs_and_the_number_of_rocks_does_not(env: LunarRescueEnv) -> None:
     """The manipulation check of the ablation: what AAPF changes is nearness, and by as much as a step can feel."""
     approach, terms, rocks = [], [], []

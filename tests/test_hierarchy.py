@@ -28,7 +28,8 @@ from reproduce.hrl_dcs.training import HierarchicalTraining
 from reproduce.learning.actions import LARGEST_CHANGE, to_environment
 from reproduce.learning.config import PriorConfig
 from reproduce.learning.networks import NetworkSpec, RecurrentNetwork
-from reproduce.learning.workers import TERMS, WorkerError, WorkerVecEnv
+from reproduce.learning.worker_process import TERMS, WorkerError
+from reproduce.learning.workers import WorkerVecEnv
 from reproduce.storage.errors import UserError
 
 LAYERS = METHODS["hrl_dcs"].config("laptop").policy

@@ -24,7 +24,8 @@ from reproduce.experiments.evaluate import evaluate
 from reproduce.experiments.methods import METHODS, load_policy
 from reproduce.experiments.presets import PRESETS, changed
 from reproduce.experiments.train import train
-from reproduce.learning.workers import RETURN, EnvOptions, WorkerVecEnv
+from reproduce.learning.worker_process import RETURN, EnvOptions
+from reproduce.learning.workers import WorkerVecEnv
 from reproduce.report.film import film
 from reproduce.storage.errors import UserError
 from reproduce.storage.paths import CHECKPOINT

@@ -99,7 +99,9 @@ def with_policy(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     (command,) = set(
         re.findall(r"`reproduce (train \S+ --preset smoke --out runs/first)`", (ROOT / "README.md").read_text())
     )
-    run([sys.executable, str(installed / "bin" / "reproduce"), *command.split()], folder, PYTHONPATH=str(installed))
+    short = ["--steps", "1024"]  # the preset's take a quarter of a minute, and nobody asks what was learnt
+    program = [sys.executable, str(installed / "bin" / "reproduce")]
+    run([*program, *command.split(), *short], folder, PYTHONPATH=str(installed))
     return folder
 
 

@@ -34,6 +34,26 @@ if __name__ == "__main__":
             sys.exit(stop.code)
 """
 
+#: Presses Ctrl-C on itself when its pool has made the thread that looks after the workers and not yet started it.
+STARTING = """
+import os, signal, sys
+from concurrent.futures import process
+from reproduce.storage.processes import map_in_processes, stop_signals
+
+class Late(process._ExecutorManagerThread):
+    def start(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        super().start()
+
+process._ExecutorManagerThread = Late
+if __name__ == "__main__":
+    with stop_signals() as stop:
+        try:
+            list(map_in_processes(abs, range(900), workers=2))
+        except KeyboardInterrupt:
+            sys.exit(stop.code)
+"""
+
 
 def start(folder: Path) -> subprocess.Popen[str]:
     """Start the command and wait until both workers are at work."""
@@ -96,3 +116,54 @@ def test_answers_come_in_order_and_a_worker_that_dies_is_named() -> None:
         list(map_in_processes(os._exit, [7, 7, 7], workers=2))
     with pytest.raises(ValueError, match="negative"):
         list(map_in_processes(time.sleep, [0.0, -1.0, 600.0], workers=2))
+
+
+@pytest.mark.process
+def test_ctrl_c_while_a_pool_starts_waits_until_it_stands(tmp_path: Path) -> None:
+    """It left a thread that was never started and workers with semaphores that were gone, which both complained."""
+    (tmp_path / "command.py").write_text(STARTING)
+    process = subprocess.Popen(
+        [sys.executable, str(tmp_path / "command.py")],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+    )  # fmt: skip
+    said, _ = process.communicate(timeout=60)
+    assert (process.returncode, said) == (130, "")
+    assert nobody_left(process.pid)
+
+
+@pytest.mark.process
+def test_modules_are_imported_once_for_all_workers(tmp_path: Path) -> None:
+    (tmp_path / "slow_to_import.py").write_text("import os\nWHO = os.getpid()\ndef who(x): return WHO, os.getpid()\n")
+    code = (
+        "from slow_to_import import who; from reproduce.storage.processes import map_in_processes\n"
+        "if __name__ == '__main__': print(*[n for pair in map_in_processes(who, 'ab', workers=2) for n in pair])"
+    )
+    (tmp_path / "command.py").write_text(code)
+    surroundings = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    told = subprocess.check_output([sys.executable, str(tmp_path / "command.py")], env=surroundings, text=True)
+    first, one, second, two = map(int, told.split())
+    assert first == second and first not in (one, two)
+
+
+@pytest.mark.process
+def test_workers_of_environments_import_nothing_that_learns() -> None:
+    code = "import sys, reproduce.learning.worker_process; print({'torch', 'stable_baselines3'} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+
+
+@pytest.mark.process
+def test_a_signal_that_python_drops_in_a_callback_comes_again() -> None:
+    """Imports end in such a callback, so that a signal could be lost while a command started."""
+    code = (
+        "import os, signal, sys, time, weakref; from reproduce.storage.processes import stop_signals\n"
+        "class Thing: pass\n"
+        "with stop_signals() as stop:\n"
+        "    try:\n"
+        "        thing = Thing(); seen = weakref.ref(thing, lambda _: os.kill(os.getpid(), 15)); del thing\n"
+        "        time.sleep(20)\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(stop.code)\n"
+    )
+    begun = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout + done.stderr) == (143, "") and time.monotonic() - begun < 15

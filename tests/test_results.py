@@ -29,7 +29,7 @@ from reproduce.analysis.tables import (
     write_tables,
 )
 from reproduce.experiments.rows import wilson
-from reproduce.learning.workers import train_seed
+from reproduce.learning.worker_process import train_seed
 from reproduce.report.notebook import fill_in, mark_mathematics
 from reproduce.report.pages import PAGES, rewritten
 from reproduce.storage.errors import UserError

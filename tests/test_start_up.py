@@ -117,3 +117,23 @@ def test_a_shell_completes_commands_and_names(words: str, offered: set[str]) -> 
     ]
     done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=True)
     assert set(done.stdout.split()) == offered
+
+
+#: Builds networks as policies are loaded, lets one act, and says whether PyTorch's compiler came with them.
+ACTING = """
+import sys
+import numpy as np
+from reproduce.baselines.feudal.network import FunSpec
+from reproduce.baselines.sac import SacSpec
+from reproduce.learning.networks import Memory, NetworkSpec
+FunSpec(3, 2, 16, 8, 2, 5).build(), SacSpec(3, 2, 16).build()
+print(Memory(NetworkSpec(3, 2, 16, True).build(), 1).act(np.ones((1, 3), np.float32), np.array([0])).shape)
+print("torch._dynamo" in sys.modules)
+"""
+
+
+@pytest.mark.process
+def test_a_policy_is_loaded_and_acts_without_pytorch_s_compiler() -> None:
+    """An optimiser brings it, which takes a second and 100 MB in each worker."""
+    done = subprocess.run([sys.executable, "-c", ACTING], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.splitlines() == ["(1, 2)", "False"]

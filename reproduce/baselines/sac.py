@@ -29,7 +29,7 @@ from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
 from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
-from reproduce.learning.networks import Standardiser, flat_spaces, observe_all
+from reproduce.learning.networks import NoOptimizer, Standardiser, flat_spaces, observe_all
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.sequence_ppo import check_losses
 from reproduce.learning.training import EpisodeLog, Training, make_environments
@@ -91,7 +91,8 @@ class SacSpec(Spec):
     def build(self) -> Actor:
         """Make an actor of these sizes, not trained."""
         seen, acts = flat_spaces(self.observations, self.actions)
-        return SACPolicy(seen, acts, lambda _: 0.0, **policy_arguments(self.hidden_units)).actor
+        more: Any = {"optimizer_class": NoOptimizer, **policy_arguments(self.hidden_units)}
+        return SACPolicy(seen, acts, lambda _: 0.0, **more).actor
 
 
 def policy_arguments(hidden_units: int) -> dict[str, Any]:

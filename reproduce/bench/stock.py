@@ -27,7 +27,7 @@ from reproduce.hrl_dcs.subgoal_env import SubGoalVecEnv
 from reproduce.hrl_dcs.subgoals import RescueGoals
 from reproduce.learning.networks import flat_spaces
 from reproduce.learning.training import OnlySpaces, make_learner, start_collecting
-from reproduce.learning.workers import TERMS
+from reproduce.learning.worker_process import TERMS
 
 
 class FlatEnv(gymnasium.Wrapper[Any, Any, Any, Any]):

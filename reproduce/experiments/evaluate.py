@@ -21,6 +21,7 @@ from reproduce.experiments.rows import as_table, rows_path, summarise, write_row
 from reproduce.learning.policy import Policy
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, write_json
+from reproduce.storage.processes import start_fork_server
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
@@ -124,6 +125,9 @@ def rescue_scenes(
         UserError: On numbers out of range, a run folder that does not load or a simulator that is not there.
     """
     seeds = scene_seeds(tests, first_seed)
+    known_simulator(simulator)
+    learned = ["reproduce.learning.networks"] if Path(where).is_dir() else []
+    start_fork_server(__name__, *learned)  # it imports for the workers while this process does for itself
     # A bad run folder, or a simulator that is not there, fails here, in one line, and not in a worker.
     _plan_in(simulator, find_policy(where, ablation)[1], plans_of)
     job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator, plans_of)

@@ -25,7 +25,7 @@ from reproduce.experiments.methods import Method, check_run_folder
 from reproduce.learning.config import TrainingConfig
 from reproduce.learning.demonstrations import play_back
 from reproduce.learning.training import Training
-from reproduce.learning.workers import WorkerError
+from reproduce.learning.worker_process import WorkerError
 from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
 from reproduce.storage.errors import RunFailedError, UserError
 from reproduce.storage.files import check_writable, locked, read_json, write_json, write_text

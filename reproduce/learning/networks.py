@@ -81,6 +81,13 @@ def observe_all(network: nn.Module, observations: Floats) -> None:
             module.observe(th.from_numpy(observations))
 
 
+class NoOptimizer:
+    """Stands for the optimiser of a network that only acts, as PyTorch's first one imports a compiler for a second."""
+
+    def __init__(self, parameters: Any, lr: float) -> None:
+        """Take what SB3 hands to an optimiser, and keep nothing of it."""
+
+
 class StateEncoder(BaseFeaturesExtractor):
     """Standardised observations through one fully connected layer, so that the LSTM sees features."""
 
@@ -130,9 +137,10 @@ class NetworkSpec(Spec):
     bounded_mean: bool  # Whether the mean passes a tanh
 
     def build(self) -> RecurrentNetwork:
-        """Make a network of these sizes, not trained."""
+        """Make a network of these sizes, not trained, to act or to imitate."""
         seen, acts = flat_spaces(self.observations, self.actions)
-        return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean)
+        more: Any = {"optimizer_class": NoOptimizer}
+        return RecurrentNetwork(seen, acts, lambda _: 0.0, self.hidden_units, self.bounded_mean, **more)
 
 
 class Memory:

@@ -21,7 +21,8 @@ from reproduce.learning.imitation import Example, Imitation
 from reproduce.learning.mirrored_envs import Environments, MirroredVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
-from reproduce.learning.workers import RETURN, ClosedVecEnv, EnvOptions, WorkerVecEnv
+from reproduce.learning.worker_process import RETURN, EnvOptions
+from reproduce.learning.workers import ClosedVecEnv, WorkerVecEnv
 from reproduce.storage.policies import Spec
 
 

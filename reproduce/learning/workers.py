@@ -1,15 +1,7 @@
-"""Sixteen environments in as many worker processes as there are cores, one message a worker a step.
-
-Observations, rewards and reward terms travel through shared memory; only what happens at the end of an episode is sent
-as a message. A scene's seed depends on the run's seed, the environment's index and the number of the episode alone.
-"""
+"""Sixteen environments in as many worker processes as there are cores, one message a worker a step."""
 
 import multiprocessing
 import os
-import traceback
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
-from multiprocessing.sharedctypes import RawArray
 from typing import Any, NoReturn
 
 import numpy as np
@@ -17,118 +9,22 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from lunar_rescue import rewards
-from lunar_rescue.disturbances import randomised
-from lunar_rescue.disturbed import DisturbedEnv
-from lunar_rescue.env import OUTCOME, LunarRescueEnv
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
-from lunar_rescue.scenes.sampling import easy_scene
-from lunar_rescue.scenes.splits import TRAIN
-from reproduce.storage.processes import die_with_parent, start_fork_server
+from reproduce.learning.worker_process import (
+    CLOSE,
+    RESET,
+    STEP,
+    EnvOptions,
+    Floats,
+    WorkerError,
+    shapes,
+    shared,
+    work,
+)
+from reproduce.storage.processes import signals_held, start_fork_server
 
-#: Names of the reward's terms in the order of the shared array.
-TERMS = tuple(term.name for term in rewards.TERMS)
-#: Return of an ended episode by the environment's own reward, AAPF included, whichever obstacle reward is trained with.
-RETURN = "own_return"
-Floats = NDArray[np.float32]
-_STEP, _RESET, _CLOSE = b"s", b"r", b"c"
-_SPAWN = multiprocessing.get_context("forkserver")
-
-
-class WorkerError(RuntimeError):
-    """A worker process stopped or raised; the message says which and why."""
-
-
-@dataclass(frozen=True)
-class EnvOptions:
-    """How the environments of all workers are made and which scenes they show."""
-
-    arguments: dict[str, Any]  # keyword arguments of ``LunarRescueEnv``
-    postures: tuple[str, ...] = ()  # to draw from; empty means all
-    easy: bool = False  # whether every scene is one of ``easy_scene``
-    randomise: bool = False  # whether each episode's physics are drawn anew, see ``disturbances.randomised``
-
-    def make(self) -> LunarRescueEnv:
-        """Make one environment."""
-        return DisturbedEnv(randomised, **self.arguments) if self.randomise else LunarRescueEnv(**self.arguments)
-
-
-def _shared(shape: tuple[int, ...], raw: Any = None) -> tuple[Any, Floats]:
-    raw = RawArray("f", int(np.prod(shape))) if raw is None else raw
-    return raw, np.frombuffer(raw, dtype=np.float32).reshape(shape)
-
-
-class _Worker:
-    """One worker's share of the environments, on arrays that it shares with the others and the parent."""
-
-    def __init__(self, raws: list[Any], indices: list[int], count: int, options: EnvOptions, seed: int) -> None:
-        arrays = [_shared(shape, raw)[1] for shape, raw in zip(_shapes(count), raws, strict=True)]
-        self._observations, self._actions, self._rewards, self._dones, self._terms = arrays
-        self._envs = {index: options.make() for index in indices}
-        self._options, self._seed = options, seed
-
-    def serve(self, pipe: Connection) -> None:
-        """Say that the environments are made, then answer commands until told to close."""
-        pipe.send(None)
-        while (command := pipe.recv_bytes()) != _CLOSE:
-            if command == _STEP:
-                # Index and final info of those whose episode ended.
-                pipe.send([(index, final) for index in self._envs if (final := self._step(index))])
-            else:
-                self.reset(int(command[1:]))
-                pipe.send(None)
-
-    def reset(self, epoch: int) -> None:
-        """Begin the first episodes of an epoch."""
-        self._epoch, self._episodes, self._returns = epoch, dict.fromkeys(self._envs, 0), dict.fromkeys(self._envs, 0.0)
-        for index in self._envs:
-            self._begin(index)
-
-    def _step(self, index: int) -> dict[str, Any] | None:
-        vector, reward, terminated, truncated, info = self._envs[index].step_flat(self._actions[index])
-        terms = info["reward_terms"]
-        self._rewards[index], self._terms[index] = reward, [terms[name] for name in TERMS]
-        self._returns[index] += reward - terms["obstacle_avoidance"] + info["aapf"]
-        self._dones[index] = float(terminated or truncated)
-        if not (terminated or truncated):
-            self._observations[index] = vector
-            return None
-        outcome = {name: info[name] for name in OUTCOME} | {RETURN: self._returns[index]}
-        self._begin(index)
-        return {**outcome, "terminal_observation": vector, "TimeLimit.truncated": truncated and not terminated}
-
-    def _begin(self, index: int) -> None:
-        draw = train_seed(self._seed, index, self._epoch, self._episodes[index])
-        self._observations[index], _ = self._envs[index].reset_flat(draw, _options(draw, self._options))
-        self._episodes[index] += 1
-        self._returns[index] = 0.0
-
-
-def _work(pipe: Connection, *share: Any) -> None:
-    """Serve a ``_Worker`` until told to close or until the parent is gone."""
-    die_with_parent()
-    try:
-        _Worker(*share).serve(pipe)
-    except (EOFError, BrokenPipeError, ConnectionResetError, KeyboardInterrupt):
-        pass  # the parent is gone
-    except Exception:  # sent to the parent, which raises it by name
-        pipe.send(WorkerError(traceback.format_exc()))
-
-
-def train_seed(run_seed: int, env: int, epoch: int, episode: int) -> int:
-    """Draw a scene seed of the ``train`` split from the run's seed, the environment, the restart and the episode."""
-    return int(np.random.default_rng([run_seed, env, epoch, episode]).integers(TRAIN.start, TRAIN.stop))
-
-
-def _options(seed: int, options: EnvOptions) -> dict[str, Any]:
-    if options.easy:
-        return {"scene": easy_scene(seed)}
-    return {"posture": options.postures[seed % len(options.postures)]} if options.postures else {}
-
-
-def _shapes(count: int) -> list[tuple[int, ...]]:
-    return [(count, SIZE), (count, JOINTS), (count,), (count,), (count, len(TERMS))]
+_FORK_SERVER = multiprocessing.get_context("forkserver")
 
 
 class ClosedVecEnv(VecEnv):
@@ -165,23 +61,27 @@ class WorkerVecEnv(ClosedVecEnv):
         if count < 1:
             raise ValueError(f"count: expected at least 1 environment, got {count!r}")
         workers = min(count, workers or len(os.sched_getaffinity(0)))
-        self._raws, arrays = zip(*[_shared(shape) for shape in _shapes(count)], strict=True)
+        self._raws, arrays = zip(*[shared(shape) for shape in shapes(count)], strict=True)
         self._observations, self._actions, self._rewards, self._dones, self.terms = arrays
         self._pipes: list[Any] = []
         self._processes: list[Any] = []
         self.epoch = 0
         acts = spaces.Box(-1.0, 1.0, (JOINTS,), np.float32)
         super().__init__(count, spaces.Box(-BOUND, BOUND, (SIZE,), np.float32), acts)
-        start_fork_server()
-        for part in np.array_split(np.arange(count), workers):
-            ours, theirs = _SPAWN.Pipe()
-            share = (list(self._raws), part.tolist(), count, options or EnvOptions({}), seed)
-            process = _SPAWN.Process(target=_work, args=(theirs, *share), daemon=True)
+        with signals_held():  # an interruption would leave workers half made
+            self._start(workers, (options or EnvOptions({}), seed))
+        self._receive_all()
+
+    def _start(self, workers: int, how: tuple[EnvOptions, int]) -> None:
+        start_fork_server(work.__module__)
+        for part in np.array_split(np.arange(self.num_envs), workers):
+            ours, theirs = _FORK_SERVER.Pipe()
+            share = (list(self._raws), part.tolist(), self.num_envs, *how)
+            process = _FORK_SERVER.Process(target=work, args=(theirs, *share), daemon=True)
             process.start()
             theirs.close()
             self._pipes.append(ours)
             self._processes.append(process)
-        self._receive_all()
 
     def _receive_all(self) -> list[Any]:
         answers = []
@@ -207,14 +107,14 @@ class WorkerVecEnv(ClosedVecEnv):
 
     def reset(self) -> Floats:
         """Begin new episodes everywhere; scenes follow from the run's seed and ``epoch``."""
-        self._send(_RESET + str(self.epoch).encode())
+        self._send(RESET + str(self.epoch).encode())
         self._receive_all()
         return self._observations.copy()
 
     def step_async(self, actions: Floats) -> None:
         """Send the environments' actions (n, 11) and return without waiting."""
         self._actions[:] = actions
-        self._send(_STEP)
+        self._send(STEP)
 
     def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
         """Wait for all workers; an ended episode's last observation is in its info."""
@@ -228,7 +128,7 @@ class WorkerVecEnv(ClosedVecEnv):
         """Stop the workers; a second call does nothing."""
         for pipe in self._pipes:
             try:
-                pipe.send_bytes(_CLOSE)
+                pipe.send_bytes(CLOSE)
                 pipe.close()
             except OSError:
                 pass  # it is gone already

@@ -9,13 +9,14 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker, util
 from types import FrameType
@@ -26,6 +27,7 @@ from reproduce.storage.errors import RunFailedError
 #: Signals by which people, terminals, schedulers and ``timeout`` ask a command to end.
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SAME_REQUEST = 1.0  # s
+AGAIN = 0.05  # s
 _TO_A_GROUP = (signal.SIGINT, signal.SIGHUP)  # what a terminal sends to workers as well
 _LIBC = ctypes.CDLL(None, use_errno=True)  # loaded here, as little may happen between fork and exec
 _PR_SET_PDEATHSIG = 1
@@ -65,8 +67,11 @@ def end_with(parent: int, by: int = signal.SIGKILL) -> None:
         os.kill(os.getpid(), by)
 
 
-def start_fork_server() -> None:
-    """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start."""
+def start_fork_server(*modules: str) -> None:
+    """Start the server that workers are forked from, deaf to Ctrl-C and hang-ups; so are workers from their start.
+
+    It imports ``modules`` once for all workers, in its own time. A server that runs already stays as it is.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
     own_folder = tempfile.gettempdir()
     if len(own_folder) > _LONGEST_FOLDER:  # TMPDIR is too long for sockets, whose folder is made once and remembered
@@ -76,6 +81,7 @@ def start_fork_server() -> None:
     try:
         resource_tracker.ensure_running()  # ends with SIGINT unblocked
         signal.pthread_sigmask(signal.SIG_BLOCK, _TO_A_GROUP)
+        forkserver.set_forkserver_preload(list(modules))
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)  # what came meanwhile comes now
@@ -91,14 +97,18 @@ def map_in_processes(
     """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
     There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
-    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``.
+    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``. Modules of ``job`` and ``prepare``
+    are imported once for all workers; for others call ``start_fork_server`` before.
     """
-    start_fork_server()
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers or len(os.sched_getaffinity(0)), context, _begin, (prepare, arguments))
-    with pool:
+    with ExitStack() as stack:
         try:
-            for answer in [pool.submit(job, item) for item in items]:
+            with signals_held():  # an interruption would leave workers, threads and locks of the pool half made
+                start_fork_server(*_modules(job, prepare))
+                count = workers or len(os.sched_getaffinity(0))
+                pool = stack.enter_context(ProcessPoolExecutor(count, context, _begin, (prepare, arguments)))
+                answers = [pool.submit(job, item) for item in items]
+            for answer in answers:
                 yield answer.result()
         except BaseException as error:
             # Jobs are not cancelled but lose their workers: in Python 3.11 a pool that breaks with cancelled jobs in
@@ -110,10 +120,39 @@ def map_in_processes(
             raise
 
 
+def _modules(*functions: Callable[..., object] | None) -> list[str]:
+    """Return the names of the modules in which functions are defined, partial ones too."""
+    whole = [getattr(function, "func", function) for function in functions]
+    return [function.__module__ for function in whole if function is not None and function.__module__]
+
+
 def _begin(prepare: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
     die_with_parent()
     if prepare is not None:
         prepare(*arguments)
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Let signals of ``STOPPING`` that Python handles wait for the end of a block that must not be left half done.
+
+    Handlers are exchanged, as blocking signals in one thread lets another one take them, and handlers run in the main
+    thread all the same. In other threads, which are not interrupted, this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    handlers = {number: handler for number in STOPPING if callable(handler := signal.getsignal(number))}
+    try:
+        for number in handlers:
+            signal.signal(number, lambda number, frame: came.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 @dataclass
@@ -134,7 +173,8 @@ def stop_signals() -> Iterator[Stop]:
     """Turn signals of ``STOPPING`` into a KeyboardInterrupt, so that files are closed and workers stopped.
 
     What comes again within ``SAME_REQUEST`` is the same request: ``timeout`` and closing terminals signal a process and
-    then its group. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored.
+    then its group. What is ignored already, as SIGHUP under ``nohup`` is, stays ignored. An interruption that Python
+    drops, as it does with whatever is raised in a callback of its import system, comes again.
     """
     stop = Stop()
 
@@ -144,12 +184,21 @@ def stop_signals() -> Iterator[Stop]:
         if stop.time - before > SAME_REQUEST:
             raise KeyboardInterrupt
 
+    def again(dropped: "sys.UnraisableHookArgs") -> None:
+        if stop.number and issubclass(dropped.exc_type, KeyboardInterrupt):
+            stop.time = -math.inf
+            threading.Timer(AGAIN, os.kill, (os.getpid(), stop.number)).start()  # not yet, as this is the callback
+        else:
+            tell(dropped)
+
     handlers = {number: signal.getsignal(number) for number in STOPPING}
     handlers = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
     for number in handlers:
         signal.signal(number, handle)
+    tell, sys.unraisablehook = sys.unraisablehook, again
     try:
         yield stop
     finally:
+        sys.unraisablehook = tell
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -19,7 +19,7 @@ from torch.nn import functional
 from lunar_rescue.scenes.records import checked
 from reproduce.baselines.feudal.levels import Manager, Worker
 from reproduce.learning.config import RecurrentConfig, Share
-from reproduce.learning.networks import StateEncoder, flat_box, flat_spaces
+from reproduce.learning.networks import NoOptimizer, StateEncoder, flat_box, flat_spaces
 from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
 
@@ -97,7 +97,8 @@ class FunSpec(Spec):
     def build(self) -> FunNetwork:
         """Make a network of these sizes, not trained."""
         sizes = asdict(self)
-        return FunNetwork(*flat_spaces(sizes.pop("observations"), sizes.pop("actions")), lambda _: 0.0, **sizes)
+        seen, acts = flat_spaces(sizes.pop("observations"), sizes.pop("actions"))
+        return FunNetwork(seen, acts, lambda _: 0.0, optimizer_class=NoOptimizer, **sizes)
 
 
 class FunNetwork(BasePolicy):
@@ -107,10 +108,17 @@ class FunNetwork(BasePolicy):
     action_space: spaces.Box
 
     def __init__(
-        self, seen: spaces.Box, acts: spaces.Box, lr_schedule: Schedule, log_std_init: float = 0.0, **sizes: int
+        self,
+        seen: spaces.Box,
+        acts: spaces.Box,
+        lr_schedule: Schedule,
+        log_std_init: float = 0.0,
+        optimizer_class: Any = th.optim.Adam,
+        **sizes: int,
     ) -> None:
         """Build it for observations (o,) and actions (a,); ``sizes`` are those that ``FunSpec`` has besides."""
-        super().__init__(flat_box("observation_space", seen), flat_box("action_space", acts))
+        boxes = flat_box("observation_space", seen), flat_box("action_space", acts)
+        super().__init__(*boxes, optimizer_class=optimizer_class)
         self.spec = spec = FunSpec(seen.shape[0], acts.shape[0], **sizes)
         self.percept = StateEncoder(seen, spec.hidden_units)
         self.percept.apply(lambda module: self.init_weights(module, gain=float(np.sqrt(2.0))))
