@@ -121,7 +121,7 @@ def main(out: Path = VARIANTS, candidates: int = CANDIDATES, scenes: int = SCENE
         print(name, shares[name], flush=True)
     how = (
         f"random search around the variants that were listed before, {candidates} candidates of a kind on {scenes} "
-        f"training scenes each from seed {FIRST_SEED} on: the best score first, then in the order in which each adds most"
+        f"training scenes each from seed {FIRST_SEED} on: the best first, then in the order in which each adds most"
     )
     write_json(out, {"how": how, "shares": shares, "kinds": kinds, "origin": origin})
 
