@@ -209,7 +209,9 @@ def _played(ends: Any, begin: int = 0) -> PlayedBack:
         at = SLICES[arm].start + 15
         observations[:, at : at + 3] = ends[:, columns]
     outputs = np.full((len(ends), JOINTS), 0.25, np.float32)
-    return PlayedBack(observations, outputs, np.arange(len(ends), dtype=np.float32), begin)
+    return PlayedBack(
+        observations, outputs, outputs, np.zeros(len(ends), np.float32), np.arange(len(ends), dtype=np.float32), begin
+    )
 
 
 def test_hindsight_sub_goals_are_where_the_arms_were_n_steps_later() -> None:

@@ -63,6 +63,13 @@ def _sac() -> Parts:
 
 
 @cache
+def _sac_demos() -> Parts:
+    from reproduce.baselines.sac_demos import SacDemosConfig, SacDemosTraining, load_sac_demos_policy
+
+    return Parts(load_sac_demos_policy, SacDemosTraining, SacDemosConfig)
+
+
+@cache
 def _scripted() -> Parts:
     from reproduce.baselines.scripted import ScriptedPolicy
 
@@ -178,6 +185,13 @@ METHODS: dict[str, Method] = {
             "one recurrent network imitates the planner's rescues; not in the paper",
             _flat,
             changes=_IMITATION,
+        ),
+        Method(
+            "sac_demos",
+            "Off-policy, demonstrations",
+            "flat TD3 with the planner's rescues in its buffer, after imitating them; not in the paper",
+            _sac_demos,
+            changes={"priors.demonstrations": True, "imitation.epochs": 25},
         ),
         Method("scripted", "Script with IK", "inverse kinematics and way-points, no learning", _scripted, learns=False),
         Method(

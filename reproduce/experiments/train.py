@@ -183,7 +183,7 @@ class _Run:
         path = RESULTS / "scratch" / f"demonstrations_{config.imitation.scenes}.safetensors"
         rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet, wait=True)
         begun = time.monotonic()
-        seen = {"weights": config.reward, "gamma": config.low.gamma, "mirrored": config.priors.mirror}
+        seen = {"weights": config.reward, "gamma": config.discount, "mirrored": config.priors.mirror}
         rows: list[dict[str, Any]] = []
         th.set_num_threads(IMITATION_THREADS)
         for row in tqdm(training.imitate(play_back(rescues, **seen), self.seed), desc="imitation", disable=self.quiet):

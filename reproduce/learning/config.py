@@ -79,6 +79,7 @@ class ImitationConfig:
     scenes: PositiveInt = 1800  # Training scenes that the planner demonstrates
     epochs: PositiveInt = 20  # Passes over all demonstrations
     episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
+    transitions: PositiveInt = 512  # Transitions a minibatch, for a network without memory
     learning_rate: PositiveFloat = 1.0e-3  # Learning rate at the beginning; falls on half a cosine
     final_learning_rate: NonNegativeFloat = 1.0e-5  # Learning rate at the end
     vf_coef: NonNegativeFloat = 0.01  # Weight of the critic's loss; returns are of the order of ten
@@ -120,3 +121,8 @@ class RecurrentConfig(TrainingConfig):
 
     low: LearnerConfig = field(default_factory=LearnerConfig)  # LLN, or the only level of a flat method
     imitation: ImitationConfig = field(default_factory=ImitationConfig)  # How it imitates demonstrations
+
+    @property
+    def discount(self) -> float:
+        """Return the discount of the demonstrations' returns."""
+        return self.low.gamma

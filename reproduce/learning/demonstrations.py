@@ -53,6 +53,8 @@ class PlayedBack:
 
     observations: Floats  # (steps, SIZE)
     outputs: Floats  # what the network should put out (steps, 11), in [-1, 1]
+    taken: Floats  # outputs that lead to what was done (steps, 11), which noise made of ``outputs``
+    rewards: Floats  # the environment's (steps,)
     returns: Floats  # discounted sum of the environment's rewards from each step on (steps,)
     begin: int  # first step to imitate
 
@@ -131,8 +133,9 @@ def _play(demonstration: Demonstration) -> PlayedBack | None:
         total = rewards[step] + _STATE["gamma"] * total
         returns[step] = total
     views = np.array(observations)
-    wanted = mirror_rows(mirror, demonstration.wanted)
-    return PlayedBack(views, to_outputs(views, wanted), returns, demonstration.begin)
+    wanted, taken = (mirror_rows(mirror, rows) for rows in (demonstration.wanted, demonstration.actions))
+    told = np.array(rewards, np.float32)
+    return PlayedBack(views, to_outputs(views, wanted), to_outputs(views, taken), told, returns, demonstration.begin)
 
 
 def mirror_rows(mirror: Mirror, actions: Floats) -> Floats:
