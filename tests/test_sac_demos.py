@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from lunar_rescue.observation import BOUND, SIZE
 from lunar_rescue.physics.robot import JOINTS
-from reproduce.baselines.sac_demos import DemonstratedTD3, OffPolicyConfig, make_td3
+from reproduce.baselines.demonstrated_td3 import DemonstratedTD3, OffPolicyConfig, make_td3
 from reproduce.learning.demonstrations import PlayedBack
 from reproduce.learning.training import OnlySpaces
 
