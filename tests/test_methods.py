@@ -152,7 +152,7 @@ def test_returns_are_by_the_same_reward_with_either_obstacle_reward() -> None:
 
 def test_all_methods_meet_the_same_terms() -> None:
     """Steps, agents, scenes, view and reward weights are one preset's; only what is a method's own differs."""
-    own = {"low", "high", "hierarchy", "goals", "imitation", "fun", "sac", "obstacle_reward"}
+    own = {"low", "high", "hierarchy", "goals", "imitation", "fun", "sac", "off_policy", "obstacle_reward"}
     for preset in PRESETS:
         common = {key: value for key, value in to_dict(METHODS["hrl_dcs"].config(preset)).items() if key not in own}
         assert {"steps", "n_envs", "reward", "priors", "scenes"} <= set(common)

@@ -218,7 +218,7 @@ POINT = {"ahead": 0.1, "aside": 0.0, "up": 0.2, "slope": 5, "waist": 30, "patien
 
 def test_way_points_are_those_of_the_files() -> None:
     assert set(load_way_points(VARIANTS)) == KINDS
-    assert all(len(variants) == 16 for variants in load_way_points(VARIANTS).values())
+    assert {len(variants) for variants in load_way_points(VARIANTS).values()} == {15}
     script = load_way_points(SCRIPT)
     assert set(script) == KINDS | {"get under"}
     assert script["lift prone"][0][1] == WayPoint(0.01, 0.0, 0.42, 32.0, 35.0, 14)

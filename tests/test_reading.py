@@ -98,7 +98,7 @@ def test_pairs_are_there_with_and_without_runs(tmp_path: Path, run_folder: Calla
     for method, outcomes in (("hrl_dcs", [True] * 4), ("hrl_dcs_no_aapf", [False] * 4), ("fun", [False] * 4)):
         run_folder(tmp_path, method, outcomes=outcomes)
     table = comparison.split_pairs(paired_differences, "hrl_dcs_no_aapf", results=tmp_path)
-    assert list(table.index) == [("test", "hrl_dcs - hrl_dcs_no_aapf seed 0")] and table["difference"].iloc[0] == 1.0
+    assert list(table.index) == [("test", "hrl_dcs - hrl_dcs_no_aapf")] and table["difference"].iloc[0] == 1.0
     assert len(comparison.split_pairs(paired_differences, results=tmp_path)) == 2
 
 
