@@ -26,7 +26,7 @@ def against_paper(results: Path = RESULTS) -> Figure:
     pools = {key: read_pools(results, key) for key in SPLIT_TITLES.values()}
     known = {run.method for run in reference_runs(results)}
     names = [n for n, m in METHODS.items() if m.paper_success or n in known]
-    figure, axis = plt.subplots(figsize=(7.5, 1.3 + 0.45 * len(names)), layout="constrained")
+    figure, axis = plt.subplots(figsize=(6, 1.3 + 0.45 * len(names)), layout="constrained")
     for row, name in enumerate(names):
         if paper := METHODS[name].paper_success:
             axis.plot(100 * paper, row, "D", color=_PAPER, ms=7, label="the paper", zorder=3)
