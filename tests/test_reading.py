@@ -22,7 +22,7 @@ from reproduce.storage.paths import NOTEBOOKS, ROOT
 
 CELL_LINES, CELL_WORDS, NOTEBOOK_WORDS = 6, 130, 750
 FIRST_PAGE_WORDS, README_WORDS = 450, 1_650
-TOUR = ("01", "02", "03", "04", "05", "06", "09", "10")
+TOUR = ("01", "02", "03", "04", "05", "06", "07", "09", "10")
 PATHS = [path for path in sorted(NOTEBOOKS.glob("*.ipynb")) if path.name[:2] in TOUR]
 _FIGURE = re.compile(r"\b(figures|drawings)\.\w+\(")
 
@@ -63,7 +63,10 @@ def test_the_first_page_and_the_readme_are_short(tmp_path: Path, run_folder: Cal
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= README_WORDS
 
 
-def test_sentences_say_what_is_missing(tmp_path: Path) -> None:
+def test_sentences_say_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert sentences.table_or_missing(pd.DataFrame(columns=["run"]), "Nothing yet.") is None
+    assert capsys.readouterr().out == "Nothing yet.\n"
+    assert sentences.table_or_missing(pd.DataFrame({"run": [1]})) is not None and not capsys.readouterr().out
     for told in (sentences.tell_success(tmp_path), sentences.tell_weakest({}), sentences.tell_curves([])):
         assert told == "No reference run of this version of the environment has it yet."
     assert "nothing can be compared in pairs" in sentences.tell_differences(tmp_path)

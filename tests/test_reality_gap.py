@@ -71,6 +71,9 @@ def test_tables_by_hand(results: Path) -> None:
     # Agresti and Min by hand: p = 1.5 / 7, q = 2.5 / 7, (p + q - (p - q)^2) / 7 = 0.0787.
     assert table.loc[("all", ""), "low"] == pytest.approx(-1 / 7 - 1.96 * 0.28046, abs=2e-3)
     assert gap.simulators(rows[rows["method"] == "random"]) is None
+    transfers: Any = gap.transfers(rows)
+    assert transfers.loc[("Script with IK", "lift"), "lost"] == 1 and "random" not in str(transfers).lower()
+    assert gap.transfers(rows[rows["method"] == "random"]).empty
     with pytest.raises(UserError, match="the same scenes"):
         gap.transfer_table(first, second.iloc[::-1])
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,6 +20,7 @@ from reproduce.storage.paths import RESULTS
 
 _OURS, _PAPER = "#4c72b0", "#c44e52"
 _BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "fontsize": 9}
+_NOTE: dict[str, Any] = {"size": 9, "color": "#777777", "style": "italic", "backgroundcolor": "white"}  # hides the grid
 
 
 def against_paper(results: Path = RESULTS) -> Figure:
@@ -26,7 +28,7 @@ def against_paper(results: Path = RESULTS) -> Figure:
     pools = {key: read_pools(results, key) for key in SPLIT_TITLES.values()}
     known = {run.method for run in reference_runs(results)}
     names = [n for n, m in METHODS.items() if m.paper_success or n in known]
-    figure, axis = plt.subplots(figsize=(7.5, 1.3 + 0.45 * len(names)), layout="constrained")
+    figure, axis = plt.subplots(figsize=(6, 1.3 + 0.45 * len(names)), layout="constrained")
     for row, name in enumerate(names):
         if paper := METHODS[name].paper_success:
             axis.plot(100 * paper, row, "D", color=_PAPER, ms=7, label="the paper", zorder=3)
@@ -36,7 +38,7 @@ def against_paper(results: Path = RESULTS) -> Figure:
                 axis.plot(ends, [row + place] * 2, color=_OURS, lw=2)
                 axis.plot(rate, row + place, "o", color=_OURS, fillstyle=fill, ms=8, label=f"here, {split} scenes")
             elif split == "test":
-                axis.text(2, row, "no run here yet", va="center", size=9, color="#777777", style="italic")
+                axis.text(2, row, "no run here yet", va="center", **_NOTE)
     axis.set(xlim=(-2, 102), xlabel="rescued [%], with 95 % intervals", ylim=(len(names) - 0.5, -0.5))
     axis.set_yticks(range(len(names)), [METHODS[name].title for name in names])
     _legend(axis)

@@ -16,6 +16,8 @@ from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import RESULTS
 
+NO_STRESS = "No stress tests yet: `reproduce stress DIR` writes them to results/stress/."
+NO_PAIR = "No policy was tested in both simulators yet: `reproduce stress DIR` does so where MuJoCo is installed."
 GROUPS = {"task": ["task"], "attitude": ["task", "attitude"], "posture": ["task", "posture"]}
 
 
@@ -115,6 +117,16 @@ def transfer_table(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
+def transfers(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return ``transfer_table`` of each method that was tested in both simulators, without postures; may be empty."""
+    tables = {}
+    for name, group in rows.groupby("method", sort=False):
+        if pair := simulators(group):
+            table = transfer_table(*pair)
+            tables[METHODS[str(name)].title] = table[table["by"] != "posture"].drop(columns="by").set_index("group")
+    return pd.concat(tables, names=["method"]).round(3) if tables else pd.DataFrame()
+
+
 def _lost_and_gained(by: str, group: str, first: pd.Series[Any], second: pd.Series[Any]) -> dict[str, Any]:
     before, after = first.to_numpy(bool), second.to_numpy(bool)
     difference, low, high = paired_difference(after, before)
@@ -139,7 +151,7 @@ def in_words(rows: pd.DataFrame) -> list[str]:
         for other in (line for line in lines if line["kind"] == OTHER):
             words += f"; in {other['simulator']} {_rate(other)}, {other['lost']} lost and {other['gained']} gained"
         sentences.append(f"{words}.")
-    return sentences or ["No stress tests yet: `reproduce stress DIR` writes them to results/stress/."]
+    return sentences or [NO_STRESS]
 
 
 def _rate(line: dict[str, Any]) -> str:
@@ -166,4 +178,5 @@ def agreement(results: Path = RESULTS) -> pd.DataFrame:
         "parted": "bodies that part",
         "parted_after_steps_median": "after steps",
     }
-    return engines[list(columns)].rename(columns=columns)
+    table = engines[list(columns)].rename(columns=columns).infer_objects().round(3)
+    return table.astype(object).fillna("-")  # nothing parts in the simulator that the plans were made in

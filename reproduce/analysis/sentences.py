@@ -15,6 +15,14 @@ from reproduce.experiments.methods import METHODS
 from reproduce.storage.paths import RESULTS
 
 NO_RUN = "No reference run of this version of the environment has it yet."
+NO_PAIRS = "No two runs tested on the same scenes yet, so nothing can be compared in pairs."
+
+
+def table_or_missing(table: pd.DataFrame, missing: str = NO_RUN) -> pd.DataFrame | None:
+    """Return a table for a notebook to show; of one without rows, print what is missing, if told, and return None."""
+    if table.empty and missing:
+        print(missing)
+    return None if table.empty else table
 
 
 def tell_curves(runs: Sequence[Run]) -> str:
@@ -56,7 +64,7 @@ def tell_differences(results: Path = RESULTS) -> str:
     """Say against how many runs HRL-DCS is ahead or behind on the same test scenes, beyond doubt."""
     table = paired_differences(results)
     if table.empty:
-        return "No two runs tested on the same scenes yet, so nothing can be compared in pairs."
+        return NO_PAIRS
     ahead, behind = int((table["low"] > 0).sum()), int((table["high"] < 0).sum())
     return (
         f"On test scenes HRL-DCS is ahead of {ahead} of {len(table)} runs and behind {behind}; "

@@ -75,7 +75,7 @@ def decisions(trace: Trace, count: int = 5, size: tuple[int, int] = (480, 352)) 
 
 def reward_steps(trace: Trace) -> Figure:
     """Draw INR with its terms above EXR, step by step; dotted lines are where SGN sets sub-goals."""
-    figure, axes = plt.subplots(3, 1, figsize=(9, 7), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(3, 1, figsize=(9, 5.4), sharex=True, layout="constrained")
     steps = trace.steps
     for arm, colour in (("A", "tab:blue"), ("B", "tab:orange")):
         axes[0].plot(100 * steps[f"before {arm}"], color=colour, label=f"arm {arm}")
@@ -104,7 +104,7 @@ def reward_steps(trace: Trace) -> Figure:
 def effect_of_the_subgoal(trace: Trace) -> Figure:
     """Draw how large LLN's outputs are by joint, and how far the sub-goal alone moves them."""
     table = trace.effect_of_the_subgoal()
-    figure, axis = plt.subplots(figsize=(9, 4.2), layout="constrained")
+    figure, axis = plt.subplots(figsize=(9, 3.4), layout="constrained")
     table.plot.barh(ax=axis, width=0.8)
     axis.invert_yaxis()
     axis.set(xlabel="mean over the rescue, of outputs in [-1, 1]")

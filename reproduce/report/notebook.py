@@ -108,7 +108,8 @@ def _cell_html(cell: Any, heading: str, where: str) -> str:
     whole = f'<div class="cell">{body}{origin}</div>'
     if FOLDED not in cell.metadata.get("tags", []):
         return whole
-    return f'<details class="folded"><summary>{html.escape(heading)}: show the table</summary>{whole}</details>'
+    shown = "figure" if "<img " in body else "table"
+    return f'<details class="folded"><summary>{html.escape(heading)}: show the {shown}</summary>{whole}</details>'
 
 
 def _as_chart(match: re.Match[str]) -> str:

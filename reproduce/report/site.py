@@ -24,7 +24,7 @@ from reproduce.analysis.verdicts import LEAST_TRAININGS
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
 from reproduce.report.film import replay
-from reproduce.report.notebook import Page, fill_in, notebook_page
+from reproduce.report.notebook import Page, fill_in, mark_mathematics, notebook_page
 from reproduce.report.rendering import render
 from reproduce.report.viewer import Clip, choose_clips, make_clips
 from reproduce.storage.files import write_text
@@ -66,7 +66,8 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
         endings = make_clips(clips, sources / REPLAYS) if clips else {}
         if replays and (best := best_two_layer_run(results)) is not None and best.rows() is not None:
             replay(*choose_scene(success=True, first_seed=0, results=results), sources / MOVING, size=SMALL)
-        texts = _texts(pages, endings, runs, results)
+        formulas: dict[str, str] = {}  # of the documents, by mark
+        texts = _texts(pages, endings, runs, results, formulas)
         for file, text in texts.items():
             write_text(sources / file, text)
         shutil.copyfile(STYLE, sources / STYLE.name)
@@ -79,8 +80,8 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
         _build(sources, site, _navigation(texts, runs, {f"{name}.md": page.title for name, page in pages.items()}))
         for page in set(site.rglob("*.html")) - set((site / REPLAYS).glob("*")):
             text = page.read_text(encoding="utf-8")
-            for notebook in pages.values():
-                text = fill_in(text, notebook.pieces)
+            for pieces in (formulas, *(notebook.pieces for notebook in pages.values())):
+                text = fill_in(text, pieces)
             page.write_text(text, encoding="utf-8")
         report = results / "report"
         if report.exists():
@@ -89,8 +90,10 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
     return report / "index.html"
 
 
-def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], results: Path) -> dict[str, str]:
-    """Return the Markdown of each page of the site by its file, in the site's order."""
+def _texts(
+    pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], results: Path, formulas: dict[str, str]
+) -> dict[str, str]:
+    """Return the Markdown of each page of the site by its file, in the site's order; add the documents' formulas."""
     texts = {"index.md": first_page(runs, results, endings, "06_claims.md" if "06_claims" in pages else None)}
     texts |= {f"{name}.md": _document_links(page.text) for name, page in pages.items()}
     if endings:
@@ -100,7 +103,8 @@ def _texts(pages: dict[str, Page], endings: dict[Clip, str], runs: list[Run], re
             texts[_policy_file(run)] = card(run).split("---\n", 2)[2]
     for path in (ROOT / "docs" / f"{name}.md" for name in DOCUMENTS):
         if path.is_file():
-            texts[f"docs/{path.name}"] = _local_links(path.read_text(encoding="utf-8"))
+            text = mark_mathematics(path.read_text(encoding="utf-8"), formulas, "docs")
+            texts[f"docs/{path.name}"] = _local_links(text)
     return texts
 
 
