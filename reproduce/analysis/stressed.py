@@ -10,6 +10,7 @@ import pandas as pd
 from pydantic import NonNegativeInt, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
+from reproduce.experiments.rows import fault_of_rows
 from reproduce.storage.errors import UserError
 
 UNDISTURBED, MIDDLE = "none", "middle"
@@ -41,12 +42,8 @@ def read_stress(path: Path) -> pd.DataFrame | None:
             rows: list[Any] = _ROWS.validate_python(list(csv.DictReader(file)))
     except FileNotFoundError:
         return None
-    except ValidationError as error:
-        index, *column = error.errors()[0]["loc"]
-        where = ", ".join([f"line {int(index) + 2}", *map(str, column[:1])])
-        raise UserError(f"{path}: {where}: {error.errors()[0]['msg']}") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"{path}: rows of disturbed tests: not readable: {error}") from None
+    except (ValidationError, OSError, UnicodeDecodeError, csv.Error) as error:
+        raise fault_of_rows(path, "disturbed tests", error) from None
     if others := sorted({row["method"] for row in rows} - {path.stem}):
         raise UserError(f"{path}: method: expected {path.stem}, got {others[0]}")
     return pd.DataFrame(rows, columns=list(StressRow.__annotations__))

@@ -20,6 +20,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
@@ -200,7 +201,7 @@ class SacTraining(Training):
 class SacPolicy(MirroredPolicy):
     """Acts by the actor's mean; it has no memory."""
 
-    def __init__(self, actor: Actor, config: PolicyConfig) -> None:
+    def __init__(self, actor: BasePolicy, config: PolicyConfig) -> None:
         """Make a policy that acts in no environment yet; see ``MirroredPolicy``."""
         super().__init__(config)
         self.network = actor
@@ -208,7 +209,7 @@ class SacPolicy(MirroredPolicy):
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Return the mean actions; see ``MirroredPolicy``."""
         with th.no_grad():
-            means: Actions = self.network(th.from_numpy(observations), deterministic=True).numpy()
+            means: Actions = self.network._predict(th.from_numpy(observations), deterministic=True).numpy()
         return means
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from numpy.typing import NDArray
 from stable_baselines3.td3.policies import Actor, TD3Policy
 from torch.nn import functional
 
@@ -26,6 +25,7 @@ from reproduce.baselines.demonstrated_td3 import OffPolicyConfig, make_td3
 from reproduce.baselines.sac import BusyEpisodeLog, SacPolicy, policy_arguments
 from reproduce.learning.config import ImitationConfig, TrainingConfig
 from reproduce.learning.demonstrations import PlayedBack
+from reproduce.learning.imitation import lower_rate
 from reproduce.learning.networks import NoOptimizer, flat_spaces, observe_all
 from reproduce.learning.policy import load_only_network
 from reproduce.learning.training import Training, make_environments
@@ -83,10 +83,7 @@ class SacDemosTraining(Training):
         for epoch in range(how.epochs):
             losses, order = [], np.array_split(rng.permutation(len(seen)), math.ceil(len(seen) / how.transitions))
             for index, rows in enumerate(order):
-                share = (epoch + index / len(order)) / how.epochs
-                for group in optimizer.param_groups:
-                    fall = 0.5 * (how.learning_rate - how.final_learning_rate) * (1.0 + math.cos(math.pi * share))
-                    group["lr"] = how.final_learning_rate + fall
+                lower_rate(optimizer, how, (epoch + index / len(order)) / how.epochs)
                 loss = functional.mse_loss(learner.actor(th.from_numpy(seen[rows])), th.from_numpy(wanted[rows]))
                 optimizer.zero_grad()
                 loss.backward()
@@ -115,16 +112,6 @@ class SacDemosTraining(Training):
         return {LEVEL: (ActorSpec(SIZE, JOINTS, self.config.off_policy.hidden_units), self.learner.actor)}
 
 
-class OffPolicyPolicy(SacPolicy):
-    """Acts by the actor, without noise and memory."""
-
-    def outputs(self, observations: NDArray[np.float32], starts: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Return the actions; see ``Policy``."""
-        with th.no_grad():
-            actions: NDArray[np.float32] = self.network(th.from_numpy(observations)).numpy()
-        return actions
-
-
-def load_sac_demos_policy(folder: Path) -> OffPolicyPolicy:
+def load_sac_demos_policy(folder: Path) -> SacPolicy:
     """Read the policy of a run folder; see ``load_only_network``."""
-    return OffPolicyPolicy(*load_only_network(folder, LEVEL, ActorSpec))
+    return SacPolicy(*load_only_network(folder, LEVEL, ActorSpec))

@@ -82,6 +82,15 @@ def write_rows(path: Path, rows: pd.DataFrame) -> None:
     write_atomically(path, lambda temporary: rows.to_csv(temporary, index=False, lineterminator="\n"))
 
 
+def fault_of_rows(path: Path, what: str, error: Exception) -> UserError:
+    """Return the error, one line, for rows of ``what`` that are not valid (line and column) or not readable."""
+    if not isinstance(error, ValidationError):
+        return UserError(f"{path}: rows of {what}: not readable: {error}")
+    index, *column = error.errors()[0]["loc"]
+    where = ", ".join([f"line {int(index) + 2}", *map(str, column[:1])])
+    return UserError(f"{path}: {where}: {error.errors()[0]['msg']}")
+
+
 def read_rows(path: Path) -> pd.DataFrame:
     """Read and check ``evaluation.csv``.
 
@@ -94,12 +103,8 @@ def read_rows(path: Path) -> pd.DataFrame:
         rows: list[Any] = _ROWS.validate_python(raw)
     except FileNotFoundError:
         raise UserError(f"{path}: rows of an evaluation: the file is missing") from None
-    except ValidationError as error:
-        index, *column = error.errors()[0]["loc"]
-        where = ", ".join([f"line {int(index) + 2}", *map(str, column[:1])])
-        raise UserError(f"{path}: {where}: {error.errors()[0]['msg']}") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"{path}: rows of an evaluation: not readable: {error}") from None
+    except (ValidationError, OSError, UnicodeDecodeError, csv.Error) as error:
+        raise fault_of_rows(path, "an evaluation", error) from None
     seeds = [row["seed"] for row in rows]
     if not rows or seeds != list(range(seeds[0], seeds[0] + len(seeds))):
         raise UserError(f"{path}: seed: expected rows of consecutive scenes, each once and in order")

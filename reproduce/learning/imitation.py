@@ -50,10 +50,7 @@ class Imitation:
         self._network.set_training_mode(True)
         losses, batches = [], list(self._batches())
         for index, batch in enumerate(batches):
-            done = (self.epochs + index / len(batches)) / self._config.epochs
-            first, last = self._config.learning_rate, self._config.final_learning_rate
-            for group in self._optimizer.param_groups:
-                group["lr"] = last + 0.5 * (first - last) * (1.0 + math.cos(math.pi * min(1.0, done)))
+            lower_rate(self._optimizer, self._config, (self.epochs + index / len(batches)) / self._config.epochs)
             imitation, value = imitation_losses(self._network, batch)
             self._optimizer.zero_grad()
             (imitation + self._config.vf_coef * value).backward()
@@ -73,6 +70,13 @@ class Imitation:
         starts = self._rng.permutation(range(0, len(order), count))
         for start in starts:
             yield [self._examples[index] for index in order[start : start + count]]
+
+
+def lower_rate(optimizer: th.optim.Optimizer, config: ImitationConfig, done: float) -> None:
+    """Set the learning rate on its half cosine, at a share ``done`` of all passes."""
+    first, last = config.learning_rate, config.final_learning_rate
+    for group in optimizer.param_groups:
+        group["lr"] = last + 0.5 * (first - last) * (1.0 + math.cos(math.pi * min(1.0, done)))
 
 
 def imitation_losses(network: RecurrentNetwork, batch: Sequence[Example]) -> tuple[th.Tensor, th.Tensor]:
