@@ -7,7 +7,7 @@ solved backwards from several goals for each arm, and RRT-Connect finds the way 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -29,12 +29,15 @@ GROUND_TOUCH = 0.010  # m, plates skim over loose regolith
 REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 0.10 m wide
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
-HOVER, HOVER_SLOPE, HOVER_LEAN = 0.40, 20.0, 8.0  # m above the slide's begin; slope, and waist further back, deg
+#: Where the plates come down to where a slide begins: from so high above [m], so far back [m]; the likeliest first.
+HOVERS = ((0.40, 0.0), (0.40, 0.15), (0.25, 0.0), (0.40, 0.30), (0.60, 0.15), (0.60, 0.0))
+LOW = 0.04  # m, from so high above the slide plates go on where they came down further back
+HOVER_SLOPE, HOVER_LEAN = 20.0, 8.0  # deg, there: slope, and waist further back
 TIPS_FIRST = 6.0  # deg, tips point down by so much more where the slide begins
 HEADINGS = (0.0, 0.5, 1.0)  # of slides, between the robot's own and straight into the body
 SLIDE_STEPS = 5  # places along the slide, the goal included
 PAIRS = 450  # of goals of the two arms, the likeliest ones
-BEGINS = (1, 2, 3, 4)  # places of a slide from which on it may be free, the rest is for RRT-Connect
+BEGINS = (0, 1, 2, 3)  # places of a slide from which on it may be free, the rest is for RRT-Connect
 OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
 CHECKS = 120_000  # collision checks for one scene, about 6 s; most need 500
 LONGEST = 7.5  # rad, a longer way leaves no time for the second process
@@ -98,6 +101,21 @@ class Way(NamedTuple):
 
     path: Array
     kind: str
+
+
+class Solved(NamedTuple):
+    """Slides of one arm to all goals, with the waist at one stance."""
+
+    places: Array  # wanted places of the end (n, SLIDE_STEPS, 3) [m]
+    angles: Array  # of the arm there (n, SLIDE_STEPS, 5) [rad]
+    misses: Array  # by how much the end misses its goal (n,) [m]
+
+
+class Slide(NamedTuple):
+    """A free slide of both arms, whole or from one of its places on."""
+
+    path: Array  # joints (m, 11) [rad]
+    begins: Array  # place of each end where it begins (2, 3) [m]
 
 
 class CollisionChecker:
@@ -164,7 +182,7 @@ class ApproachPlanner:
         self._backs = np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
         choices = load_choices()
         self._stances, self._goals = choices.stances, choices.goals
-        self._solved: dict[Stance, list[tuple[Array, Array]]] = {}
+        self._solved: dict[Stance, list[Solved]] = {}
 
     def ways(self) -> Iterator[Way]:
         """Yield ways that are free of collision, until the checks of a scene are used up."""
@@ -180,30 +198,33 @@ class ApproachPlanner:
                     break
 
     # -- slides ------------------------------------------------------------------------------------------------------
-    def _slides(self, stance: Stance, touch: float) -> Iterator[Array]:
-        """Yield free slides of both arms to goals: whole, with a hover above the entry first, or their last part."""
-        free, slide = self._checker.free, stance.under - stance.lean * self._backs
-        # The waist above the hover and at each place of the slide, (SLIDE_STEPS + 1,) [rad].
-        waists = np.clip(np.radians([slide[0] - HOVER_LEAN, *slide]), self._lower[WAIST], self._upper[WAIST])
+    def _slides(self, stance: Stance, touch: float) -> Iterator[Slide]:
+        """Yield free slides of both arms to goals: whole, or their last part where something is in front."""
+        free = self._checker.free
+        # The waist at each place of the slide, (SLIDE_STEPS,) [rad].
+        waists = np.clip(np.radians(stance.under - stance.lean * self._backs), self._lower[WAIST], self._upper[WAIST])
         if stance not in self._solved:
             self._solved[stance] = [
                 self._solve(a, target, waists) for a, target in zip(ARMS, self.targets, strict=True)
             ]
         solved = self._solved[stance]
-        good = [np.flatnonzero(misses < REACHED) for _, misses in solved]
+        good = [np.flatnonzero(one.misses < REACHED) for one in solved]
         # A pair of goals is as likely as its less likely one; its end is checked first, where most pairs fail.
         pairs = sorted(((i, j) for i in good[0] for j in good[1]), key=lambda p: (max(p), sum(p)))
         for i, j in pairs[:PAIRS]:
-            path = np.column_stack([solved[0][0][i], solved[1][0][j], waists])
+            path = np.column_stack([solved[0].angles[i], solved[1].angles[j], waists])
             self._checker.body_touch = touch
-            begin = next((k for k in BEGINS if all(map(free, path[: k - 1 : -1])) and path_is_free(path[k:], free)), 0)
+            ends = (
+                k for k in BEGINS if all(map(free, path[: k - 1 if k else None : -1])) and path_is_free(path[k:], free)
+            )
+            begin = next(ends, None)
             # What comes before is in the open, where nothing needs to be touched.
             self._checker.body_touch = OPEN_TOUCH
-            if begin and free(path[begin]):
-                yield path if begin == 1 else path[begin:]
+            if begin is not None and free(path[begin]):
+                yield Slide(path[begin:], np.array([solved[0].places[i, begin], solved[1].places[j, begin]]))
 
-    def _solve(self, arm: Arm, target: Array, waists: Array) -> tuple[Array, Array]:
-        """Solve the slides to all goals, (n, SLIDE_STEPS + 1, 5) [rad], and how far they miss them, (n,) [m]."""
+    def _solve(self, arm: Arm, target: Array, waists: Array) -> Solved:
+        """Solve the slides to all goals."""
         headings, backs = self._headings[ARMS.index(arm)], self._backs
         goals, heading = [g for g in self._goals for _ in headings], np.tile(headings, len(self._goals))
         count = len(goals)
@@ -213,14 +234,30 @@ class ApproachPlanner:
         ends = target + np.array([[g.ahead] for g in goals]) * np.column_stack([aside[:, 1], -aside[:, 0], aside[:, 2]])
         ends += np.array([[arm.side * g.aside] for g in goals]) * aside + np.array([[0.0, 0.0, g.up] for g in goals])
         slopes = np.array([goal.slope for goal in goals])
-        places = [ends - backs[0] * ahead + [0.0, 0.0, HOVER], *(ends - back * ahead for back in backs)]
-        tilts = [np.full(count, HOVER_SLOPE), *(slopes - TIPS_FIRST * back / backs[0] for back in backs)]
-        angles = np.tile(self._start[arm.joints], (count, 1))
+        places = [ends - back * ahead for back in backs]
+        tilts = [slopes - TIPS_FIRST * back / backs[0] for back in backs]
+        angles = self._hover(
+            arm, places[0], float(waists[0]), HOVERS[0][0], np.tile(self._start[arm.joints], (count, 1))
+        )
         rows = []
         for place, tilt, waist in zip(places, tilts, waists, strict=True):
             angles, misses = self._solve_low(arm, place, np.radians(tilt), np.full(count, waist), angles)
             rows.append(angles)
-        return np.stack(rows, axis=1), misses
+        return Solved(np.stack(places, axis=1), np.stack(rows, axis=1), misses)
+
+    def _hover(self, arm: Arm, places: Array, waist: float, height: float, near: Array) -> Array:
+        """Solve an arm's joints (n, 5) [rad] with its end above places (n, 3) [m], near joints (n, 5) [rad]."""
+        count, back = len(places), max(waist - np.radians(HOVER_LEAN), self._lower[WAIST])
+        slopes = np.full(count, np.radians(HOVER_SLOPE if height > LOW else 0.0))
+        return self._solve_low(arm, places + [0.0, 0.0, height], slopes, np.full(count, back), near)[0]
+
+    def _both(self, slide: Slide, back: float, height: float, near: Array) -> Array:
+        """Solve all joints (11,) [rad] with both ends above and behind where a slide begins, near other joints."""
+        joints, waist = near.copy(), float(slide.path[0, WAIST])
+        joints[WAIST] = max(waist - np.radians(HOVER_LEAN), self._lower[WAIST])
+        for arm, place in zip(ARMS, slide.begins - [back, 0.0, 0.0], strict=True):
+            joints[arm.joints] = self._hover(arm, place[None], waist, height, near[None, arm.joints])[0]
+        return joints
 
     def _solve_low(self, arm: Arm, places: Array, slopes: Array, waists: Array, starts: Array) -> tuple[Array, Array]:
         """Solve as ``solve_arms`` does, then again with the ends so much higher that no tip is in the ground."""
@@ -233,17 +270,23 @@ class ApproachPlanner:
         return angles, misses
 
     # -- the way to where the slide begins ---------------------------------------------------------------------------
-    def _reach(self, slide: Array, draws: int) -> Way | None:
-        """Complete a slide by a way from the start to its beginning, or return None where none was found."""
-        free = self._checker.free
-        rest = slide
-        if len(slide) == SLIDE_STEPS + 1:
-            hover, rest = slide[0], slide[1:]
-            if free(hover) and line_is_free(self._start, hover, free) and line_is_free(hover, rest[0], free):
-                return Way(np.concatenate([self._start[None], slide]), "straight")
+    def _reach(self, slide: Slide, draws: int) -> Way | None:
+        """Complete a slide by a way from the start to its beginning, or return None where none was found.
+
+        Straight lines by way of a place above the beginning are tried first: they are much alike from scene to scene,
+        so a learner can imitate them, and they are found in a tenth of the time.
+        """
+        free, begin = self._checker.free, slide.path[0]
+        for height, back in HOVERS:
+            points = [self._start, self._both(slide, back, height, self._start)]
+            if back:
+                points.append(self._both(slide, back, LOW, points[-1]))
+            points.append(begin)
+            if all(map(free, points[1:-1])) and all(line_is_free(a, b, free) for a, b in pairwise(points)):
+                return Way(np.concatenate([points[:-1], slide.path]), "straight")
         if not draws:
             return None
-        way = connect(self._start, rest[0], free, (self._lower, self._upper), self._rng, draws=draws)
+        way = connect(self._start, begin, free, (self._lower, self._upper), self._rng, draws=draws)
         if way is None:
             return None
-        return Way(np.concatenate([shortcut(way, free, self._rng), rest[1:]]), "rrt")
+        return Way(np.concatenate([shortcut(way, free, self._rng), slide.path[1:]]), "rrt")

@@ -1,4 +1,6 @@
-"""Try a plan out in an environment: follow a joint path until both arms are under, then way-points."""
+"""Try a plan out in an environment: follow a joint path until both arms are under, then one through way-points."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.planner.rrt import resample
-from reproduce.baselines.scripted import ARRIVED, Variant
+from reproduce.baselines.scripted import Variant
 
 Array = NDArray[np.float64]
 Actions = NDArray[np.float32]
@@ -85,6 +87,17 @@ class Rollout:
             self._pass_through(variant, targets)
         return self._trial()
 
+    def along(self, path: Array, under: int) -> Trial:
+        """Follow set-points (m, 11) [rad] that led to a rescue, from those nearest to where the prefix has led.
+
+        The first ``under`` of them brought both arms under the body; they are left out where both have been there.
+        """
+        self._begin()
+        self._follow(path[:under], anywhere=True)
+        if self._under is not None:
+            self._hold(Track(path[under - 1 :], self._angles))
+        return self._trial()
+
     def so_far(self) -> Trial:
         """Return where the prefix has led."""
         self._begin()
@@ -122,27 +135,57 @@ class Rollout:
     def _angles(self) -> Array:
         return self._env.episode.robot.angles
 
-    def _follow(self, path: Array) -> None:
-        """Aim a little ahead on the path, so that all joints keep to it although they are limited one by one."""
-        points = resample(path, SPACING)
-        at, waited = 0, 0
+    def _follow(self, path: Array, anywhere: bool = False) -> None:
+        """Aim a little ahead on the path until both arms are under, or nothing moves any more at its end.
+
+        The path begins where the arms are; ``anywhere`` says that they may be anywhere beside it.
+        """
+        track, waited = Track(path, self._angles if anywhere else None), 0
         while not self._done and self._under is None and waited < SETTLE:
-            near = points[at : at + WINDOW]
-            at += int(np.abs(near - self._angles).max(axis=1).argmin())
-            aim = min(at + AHEAD, len(points) - 1)
-            waited += aim == len(points) - 1
-            self._step(self._env.robot.action_for(points[aim]))
+            self._aim(track)
+            waited += track.at_end
 
     def _pass_through(self, variant: Variant, targets: Array) -> None:
-        joints = self._angles.copy()
-        for index, point in enumerate(variant):
-            joints = point.joints(targets, joints)
-            action = self._env.robot.action_for(joints)
-            wanted = self._env.robot.joint_targets(action)
-            left = point.patience
-            while not self._done and (left > 0 or index == len(variant) - 1):
-                begun = left < point.patience and index < len(variant) - 1
-                if begun and np.all(np.abs(self._angles - wanted) < ARRIVED):
-                    break
-                self._step(action)
-                left -= 1
+        """Go through way-points on straight lines between their joint angles, and hold the last one.
+
+        No clock tells when to go on, so what a learner should do follows from where the arms are, not from how long
+        ago they came there: waits at way-points cannot be imitated (see the training log).
+        """
+        robot, points = self._env.robot, [self._angles.copy()]
+        for point in variant:
+            points.append(robot.joint_targets(robot.action_for(point.joints(targets, points[-1]))))
+        self._hold(Track(np.array(points)))
+
+    def _hold(self, track: Track) -> None:
+        """Follow a path to the episode's end."""
+        while not self._done:
+            self._aim(track)
+
+    def _aim(self, track: Track) -> None:
+        self._step(self._env.robot.action_for(track.aim(self._angles)))
+
+
+class Track:
+    """A joint path that is followed by aiming a little ahead, so that all joints keep to it.
+
+    Joints are limited one by one, and would otherwise arrive one after the other.
+    """
+
+    def __init__(self, path: Array, angles: Array | None = None) -> None:
+        """Follow a path (m, 11) [rad] from its beginning, or from the point nearest to the joints (11,) [rad]."""
+        self._points = resample(path, SPACING)
+        self._at = 0 if angles is None else int(self._distances(self._points, angles).argmin())
+        self.at_end = False  # whether the last aim was the path's end
+
+    def aim(self, angles: Array) -> Array:
+        """Return the joints (11,) [rad] to ask for where the joints are at (11,) [rad]."""
+        self._at += int(self._distances(self._points[self._at : self._at + WINDOW], angles).argmin())
+        aim = min(self._at + AHEAD, len(self._points) - 1)
+        self.at_end = aim == len(self._points) - 1
+        target: Array = self._points[aim]
+        return target
+
+    @staticmethod
+    def _distances(points: Array, angles: Array) -> Array:
+        distances: Array = np.abs(points - angles).max(axis=1)
+        return distances
