@@ -191,6 +191,7 @@ def test_whole_episodes_are_put_out_as_they_are_when_acting_step_by_step() -> No
     np.testing.assert_allclose(np.clip(means.numpy(), -1, 1), acted, atol=1e-5)
 
 
+@pytest.mark.process
 def test_a_network_learns_what_needs_a_memory() -> None:
     th.manual_seed(0)
     network, rng = NetworkSpec(6, 2, 32, False).build(), np.random.default_rng(0)

@@ -94,6 +94,7 @@ def _ground(scene: Scene, slope: float, downhill: float) -> Terrain:
     return Terrain("rough", slope, downhill, RELIEFS[3], patch, scene.astronaut_x, scene.astronaut_y, yaw)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("friction", FRICTION_RANGE)
 @pytest.mark.parametrize("name", list(all_postures()))
 def test_every_posture_rests_where_it_is_put(env: LunarRescueEnv, name: str, friction: float) -> None:
@@ -111,6 +112,7 @@ def test_every_posture_rests_where_it_is_put(env: LunarRescueEnv, name: str, fri
             assert turned < 2.0, terrain
 
 
+@pytest.mark.process
 def test_no_mound_reaches_under_a_resting_body(env: LunarRescueEnv) -> None:
     for name in all_postures():
         drawn = replace(sample_scene(1, posture=name), rocks=())

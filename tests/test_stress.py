@@ -84,6 +84,7 @@ def test_a_small_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "scripted.csv" in json.loads((tmp_path / "a" / "origins.json").read_text())
 
 
+@pytest.mark.process
 def test_the_planner_plans_a_scene_once_and_follows_the_plan_without_looking(monkeypatch: pytest.MonkeyPatch) -> None:
     planned: list[int] = []
     policy = PlannerPolicy(RescuePlanner(variants=1, approaches=1))
