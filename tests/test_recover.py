@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from lunar_rescue import LunarRescueEnv, sample_scene
@@ -13,7 +15,10 @@ from lunar_rescue.physics.robot import JOINTS
 from reproduce.baselines.planner.planner import RescuePlanner
 from reproduce.baselines.planner.rollout import Rollout, Track
 from reproduce.experiments.demonstrate import demonstrate_scene
+from reproduce.experiments.methods import get_method
+from reproduce.experiments.presets import changed
 from reproduce.experiments.recover import Demonstrator, recoveries
+from reproduce.experiments.train import train
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.demonstrations import Demonstration
 from reproduce.learning.networks import NetworkSpec
@@ -84,3 +89,21 @@ def test_a_student_that_knows_nothing_is_taken_over(rescue: Demonstration, tmp_p
     assert [len(one.actions) for one in recoveries(tmp_path, [rescue], quiet=True)[0]] == [
         len(one.actions) for one in made
     ]
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("name", ["ppo_lstm_demos", "hrl_dcs_demos"])
+def test_a_training_goes_through_rounds_of_recoveries(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("reproduce.experiments.train.RESULTS", tmp_path / "results")
+    method = get_method(name)
+    config = changed(method.config("smoke"), {"imitation.recoveries": 1, "imitation.scenes": 1})
+    train(method, config, 0, tmp_path / "run", "smoke", quiet=True)
+    account = json.loads((tmp_path / "run" / "run.json").read_text())["demonstrations"]
+    assert account["scenes"] == 1 and account["student_rescues"] == 0.0
+    assert account["recoveries"] >= 1
+    rows = pd.read_csv(tmp_path / "run" / "imitation.csv")
+    assert rows["round"].unique().tolist() == [0, 1]
+    assert rows.groupby("round").size().nunique() == 1
+    assert rows["seconds"].is_monotonic_increasing

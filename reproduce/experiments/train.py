@@ -22,8 +22,9 @@ from tqdm.auto import tqdm
 from lunar_rescue import ENVIRONMENT_VERSION
 from reproduce.experiments.demonstrate import demonstrate
 from reproduce.experiments.methods import Method, check_run_folder
+from reproduce.experiments.recover import recoveries
 from reproduce.learning.config import TrainingConfig
-from reproduce.learning.demonstrations import play_back
+from reproduce.learning.demonstrations import Demonstration, play_back
 from reproduce.learning.training import Training
 from reproduce.learning.worker_process import WorkerError
 from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -185,14 +186,21 @@ class _Run:
         begun = time.monotonic()
         seen = {"weights": config.reward, "gamma": config.discount, "mirrored": config.priors.mirror}
         rows: list[dict[str, Any]] = []
-        th.set_num_threads(IMITATION_THREADS)
-        for row in tqdm(training.imitate(play_back(rescues, **seen), self.seed), desc="imitation", disable=self.quiet):
-            rows.append({**row, "seconds": round(made + time.monotonic() - begun, 2)})
-        th.set_num_threads(THREADS)
+        about = {"scenes": config.imitation.scenes, "rescues": len(rescues)}
+        played, more = play_back(rescues, **seen), list[Demonstration]()
+        for turn in range(config.imitation.recoveries + 1):
+            if turn:
+                save_policy(self.folder, self.method.name, training.networks(), config.policy)
+                fresh, share = recoveries(self.folder, rescues, quiet=self.quiet)
+                more, played = more + fresh, played + play_back(fresh, **seen)
+                about |= {"recoveries": len(more), "student_rescues": round(share, 4)}
+            th.set_num_threads(IMITATION_THREADS)
+            for row in tqdm(training.imitate(played, self.seed + turn), desc="imitation", disable=self.quiet):
+                rows.append({"round": turn, **row, "seconds": round(made + time.monotonic() - begun, 2)})
+            th.set_num_threads(THREADS)
         write_text(self.folder / "imitation.csv", pd.DataFrame(rows).to_csv(index=False, float_format="%.5g"))
-        steps, seconds = sum(len(rescue.actions) for rescue in rescues), made + time.monotonic() - begun
-        about = {"scenes": config.imitation.scenes, "rescues": len(rescues), "steps": steps, "seconds": made}
-        write_json(self.folder / "imitation.json", about)
+        steps, seconds = sum(len(one.observations) - one.begin for one in played), made + time.monotonic() - begun
+        write_json(self.folder / "imitation.json", {**about, "steps": steps, "seconds": made})
         self.progress = self.saved = Progress(0, 0, seconds)
 
     def _loop(self, training: Training, writer: Any) -> None:

@@ -78,6 +78,7 @@ class ImitationConfig:
 
     scenes: PositiveInt = 1800  # Training scenes that the planner demonstrates
     epochs: PositiveInt = 20  # Passes over all demonstrations
+    recoveries: NonNegativeInt = 0  # Rounds in which episodes that the student fails become demonstrations, too
     episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
     transitions: PositiveInt = 512  # Transitions a minibatch, for a network without memory
     learning_rate: PositiveFloat = 1.0e-3  # Learning rate at the beginning; falls on half a cosine
