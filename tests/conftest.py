@@ -19,6 +19,8 @@ from reproduce.storage.files import write_json
 from reproduce.storage.processes import start_fork_server
 from reproduce.storage.records import to_dict
 
+# Two workers of two threads each take turns on two cores, and wait for each other longer than they compute.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A shell starts what runs in the background deaf to Ctrl-C, and processes that tests start would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -55,6 +55,7 @@ def test_scenes_cover_both_grounds_tasks_and_splits() -> None:
     assert {s.terrain.kind for s in scenes} == {"smooth", "rough"} and {s.task for s in scenes} == {"lift", "turn_over"}
 
 
+@pytest.mark.process
 def test_again_and_after_other_episodes(reference: list[str], env: LunarRescueEnv) -> None:
     assert [digest(env, sample_scene(seed)) for seed in reversed(SCENES)][::-1] == reference
 
@@ -89,10 +90,12 @@ def test_in_another_process(reference: list[str]) -> None:
     assert ran.stdout.split()[-len(SCENES) :] == reference
 
 
+@pytest.mark.process
 def test_from_json(reference: list[str], env: LunarRescueEnv) -> None:
     assert [digest(env, Scene.from_json(sample_scene(seed).to_json())) for seed in SCENES] == reference
 
 
+@pytest.mark.process
 def test_in_a_renewed_world(reference: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bodies, "WORLD_LIFE", 3)
     assert digests() == reference

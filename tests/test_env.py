@@ -78,6 +78,7 @@ def test_every_posture_and_task_steps(env: LunarRescueEnv, posture: str, task: s
             observation, _ = env.reset(options={"posture": posture, "task": task})
 
 
+@pytest.mark.process
 def test_no_constant_observation() -> None:
     env = LunarRescueEnv()
     crowded = [s for s in map(sample_scene, range(1000)) if len(s.rocks) == MAX_ROCKS][:3]

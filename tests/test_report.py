@@ -172,6 +172,7 @@ def test_a_policy_is_shared_with_its_card(results: Path, tmp_path: Path) -> None
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.process
 def test_a_broken_policy_is_not_shared(results: Path, tmp_path: Path) -> None:
     copy = tmp_path / "results"
     shutil.copytree(results / "reference", copy / "reference")

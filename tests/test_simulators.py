@@ -204,6 +204,7 @@ def digests() -> list[str]:
     return found
 
 
+@pytest.mark.process
 def test_mujoco_repeats_after_other_episodes(mujoco_env: LunarRescueEnv) -> None:
     def flail(env: LunarRescueEnv, seed: int) -> list[bytes]:
         rng, seen, done = np.random.default_rng(seed), [env.reset_flat(TRAIN.start + seed)[0].tobytes()], False
