@@ -29,7 +29,7 @@ reproduce: $(STAMP)  ## the main job in its short form: train, run the notebooks
 test: lint  ## lint, types and tests (about 6 minutes on 2 idle cores)
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal --durations=20 -m "not slow and not browser"
 
-test-fast: $(STAMP)  ## the tests that start no process and train nothing (a minute on 2 idle cores)
+test-fast: $(STAMP)  ## the tests that start no process, train nothing and take no second (a minute on 2 idle cores)
 	$(BIN)/python -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not process"
 
 test-slow: $(STAMP)  ## learning tests, kills, the soak and long physics runs

@@ -209,6 +209,7 @@ def test_c2_is_a_ratio_of_restricted_means(run_folder: RunFolder, tmp_path: Path
     assert found.verdict == "undecided" and found.measured is None and "no level reached" in found.evidence
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("rise", "final", "successes", "verdict"),
     [

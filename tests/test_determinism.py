@@ -72,6 +72,7 @@ def flailing(env: LunarRescueEnv, seed: int) -> list[bytes]:
     return seen
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("seed", SELF_TOUCHING)
 def test_arms_that_touched_each_other_leave_nothing_behind(seed: int, env: LunarRescueEnv) -> None:
     flailing(env, seed - 1)

@@ -74,6 +74,7 @@ def test_levels_are_what_was_asked_for_and_grow() -> None:
     assert all(low < middle < high for low, middle, high in levels.values())
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_they_repeat_from_the_seed_and_differ_between_scenes_and_severities(env: DisturbedEnv, kind: str) -> None:
     scene = sample_scene(SEED + 1)
@@ -99,6 +100,7 @@ def test_what_does_not_exist_is_refused(env: DisturbedEnv) -> None:
 
 
 # -- what is seen ------------------------------------------------------------------------------------------------------
+@pytest.mark.process
 def test_noise_has_its_size_and_moves_all_that_hangs_on_the_body(env: DisturbedEnv) -> None:
     errors, turns = [], []
     for seed in range(SEED, SEED + 40):

@@ -63,6 +63,7 @@ def test_render_returns_a_picture() -> None:
     env.close()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(("posture", "task"), task_distribution())
 def test_every_posture_and_task_steps(env: LunarRescueEnv, posture: str, task: str) -> None:
     rng = np.random.default_rng(1)

@@ -157,6 +157,7 @@ def test_whole_sequences_are_the_same_as_single_steps(length: int) -> None:
 
 
 # -- goals -------------------------------------------------------------------------------------------------------------
+@pytest.mark.process
 def test_goals_have_norm_one_and_their_sum_restarts_with_the_episode() -> None:
     learner = make()
     buffer = collect(learner, 2)
@@ -181,6 +182,7 @@ def test_share_of_random_goals(share: float) -> None:
         assert float(drawn.mean(0).norm()) < 4 / np.sqrt(len(drawn))  # in no direction rather than another
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
 def test_random_goals_are_sent_while_collecting(share: float) -> None:
     learner = make(replace(SMALL, random_goals=share))

@@ -24,6 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return untrained_policy("hrl_dcs", tmp_path_factory.mktemp("library") / "run")
 
 
+@pytest.mark.process
 def test_it_acts_as_the_policy_that_the_command_line_tests(folder: Path, env: LunarRescueEnv) -> None:
     scene = sample_scene(7)
     expected = run_episode(env, find_policy(folder)[1], scene)

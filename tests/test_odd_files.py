@@ -125,6 +125,7 @@ def test_odd_policy_descriptions_are_refused_in_one_line(tmp_path: Path) -> None
     assert "policy.json" in complaint(run)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("method", ["fun", "sac", "ppo_lstm"])
 def test_odd_descriptions_of_other_methods_are_refused_too(method: str, tmp_path: Path) -> None:
     run = policy(tmp_path, method)

@@ -231,6 +231,7 @@ def test_nothing_constrains_or_teleports_the_astronaut() -> None:
     assert not called & {"place", "place_suit", "reset_joints", "reset", "clear", "add_suit"}
 
 
+@pytest.mark.process
 def test_astronaut_obeys_momentum_while_stepping(env: LunarRescueEnv) -> None:
     """Between two steps the body moves as far as its velocities say: no jump."""
     rng = np.random.default_rng(3)
@@ -247,6 +248,7 @@ def test_astronaut_obeys_momentum_while_stepping(env: LunarRescueEnv) -> None:
                 break
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("slope", [0.0, MAX_SLOPE])
 @pytest.mark.parametrize("friction", FRICTION_RANGE)
 @pytest.mark.parametrize("mass", MASS_RANGE)

@@ -134,6 +134,7 @@ def test_same_scene_same_plan(planner: RescuePlanner) -> None:
     np.testing.assert_array_equal(first.actions, planner.plan(scene).actions)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("seed", TRAIN_SEEDS)
 def test_planner_gets_both_arms_under_without_touching_a_rock(
     seed: int, planner: RescuePlanner, env: LunarRescueEnv
@@ -168,6 +169,7 @@ def test_solvability_writes_rows_summary_and_origin(tmp_path: Path) -> None:
     assert summary["origin"]["commit"]
 
 
+@pytest.mark.process
 def test_shares_count_scenes(planner: RescuePlanner) -> None:
     row = solve_scene(TRAIN_SEEDS[0], planner)
     lost = {**row, "rescued": 0, "first_try_rescued": 0, "failure": "timeout"}
@@ -203,6 +205,7 @@ def test_bad_measurements_are_refused_before_any_work(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.process
 def test_policy_needs_the_scene_and_one_environment(planner: RescuePlanner) -> None:
     policy = PlannerPolicy(planner)
     with pytest.raises(UserError, match="needs the scene"):

@@ -57,6 +57,7 @@ def rescue() -> Demonstration:
     return made
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("steps", [6, 30])
 def test_a_recovery_begins_where_somebody_else_has_led(steps: int, rescue: Demonstration, env: LunarRescueEnv) -> None:
     away = np.random.default_rng(1).normal(0.0, 0.05, (steps, JOINTS))

@@ -78,6 +78,7 @@ def test_the_stage_never_steps_and_the_simulation_never_looks() -> None:
     assert not used(bullet, bodies, client) & {"getCameraImage", "changeVisualShape", "addUserDebugLine"}
 
 
+@pytest.mark.process
 def test_a_picture_is_the_same_again(env: LunarRescueEnv, studio: Studio) -> None:
     _with_rocks(env)
     camera = scene_camera(env.episode.scene, SMALL)
@@ -134,6 +135,7 @@ def test_projection_is_the_renderers(env: LunarRescueEnv, studio: Studio) -> Non
     assert picture[y, x].min() > 120
 
 
+@pytest.mark.process
 def test_a_slope_leans_and_the_camera_does_not(env: LunarRescueEnv, studio: Studio) -> None:
     drawn = next(scene for scene in map(sample_scene, range(1000)) if scene.terrain.slope > 7.0)
     slope = replace(drawn, rocks=())

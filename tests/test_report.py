@@ -57,6 +57,7 @@ def test_a_notebook_becomes_a_page_with_code_folded_and_pictures_described(tmp_p
     assert "notebooks/01_try.ipynb, cell 2" in text
 
 
+@pytest.mark.process
 def test_a_page_of_an_earlier_run_says_so(tmp_path: Path) -> None:
     page = executed(tmp_path / "notebooks" / "01_try.ipynb")
     assert "earlier run" not in notebook_page(page).text
@@ -119,6 +120,7 @@ def test_the_site_has_all_pages_and_keeps_the_old_one_on_failure(results: Path) 
     assert not list(results.glob(".report*"))
 
 
+@pytest.mark.process
 def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
     recording = record("random", 3)
     steps = recording.row["steps"]

@@ -28,6 +28,7 @@ def _played(rewards: list[float]) -> PlayedBack:
     return PlayedBack(seen, outputs, taken, told, told, 0)
 
 
+@pytest.mark.process
 def test_demonstrations_give_returns_of_several_steps_and_end_where_they_end() -> None:
     learner = _learner()
     learner.remember([_played([1.0, 2.0, 4.0]), _played([8.0])])
@@ -41,6 +42,7 @@ def test_demonstrations_give_returns_of_several_steps_and_end_where_they_end() -
     assert np.allclose(samples.actions, -0.5), "what was done, not what was wanted, has led to the rewards"
 
 
+@pytest.mark.process
 def test_critics_learn_what_a_demonstration_was_worth() -> None:
     learner = _learner(returns=1, tau=1.0, critic_learning_rate=1e-2)
     learner.remember([_played([0.0, 0.0, 4.0])])
@@ -51,6 +53,7 @@ def test_critics_learn_what_a_demonstration_was_worth() -> None:
     assert last == pytest.approx(4.0, abs=0.2)
 
 
+@pytest.mark.process
 def test_the_actor_comes_to_what_was_wanted_where_imitation_weighs_enough() -> None:
     learner = _learner(imitation_weight=1e4, actor_learning_rate=1e-2)
     learner.remember([_played([0.0, 0.0, 4.0])])

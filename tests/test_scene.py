@@ -213,6 +213,7 @@ def test_what_cannot_lie_there_is_refused() -> None:
             Scene.from_json(text)
 
 
+@pytest.mark.process
 def test_heldout_scenes_have_what_no_training_scene_has() -> None:
     drawn = {name: [sample_scene(seeds.start + i) for i in range(400)] for name, seeds in SPLITS.items()}
     held = [scene for name in HELD_OUT for scene in drawn[name]]

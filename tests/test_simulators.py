@@ -231,6 +231,7 @@ def test_mujoco_repeats_in_another_process() -> None:
 
 
 # -- the environment -----------------------------------------------------------------------------------------------
+@pytest.mark.process
 def test_checkers_pass_in_mujoco_without_warnings() -> None:
     pytest.importorskip("mujoco")
     with warnings.catch_warnings():

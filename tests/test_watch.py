@@ -84,6 +84,7 @@ def test_gymnasium_records_videos(tmp_path: Path) -> None:
     assert len(iio.imread(film)) == 5  # the beginning and four steps
 
 
+@pytest.mark.process
 def test_watch_shows_so_many_rescues_and_says_how_they_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pace, "CONTROL_STEP", 0.0)
     for name in ("PAUSE", "PATIENCE"):
