@@ -24,7 +24,7 @@ from reproduce.experiments.demonstrate import demonstrate
 from reproduce.experiments.methods import Method, check_run_folder
 from reproduce.experiments.recover import recoveries
 from reproduce.learning.config import TrainingConfig
-from reproduce.learning.demonstrations import Demonstration, play_back
+from reproduce.learning.demonstrations import play_back
 from reproduce.learning.training import Training
 from reproduce.learning.worker_process import WorkerError
 from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -187,13 +187,13 @@ class _Run:
         seen = {"weights": config.reward, "gamma": config.discount, "mirrored": config.priors.mirror}
         rows: list[dict[str, Any]] = []
         about = {"scenes": config.imitation.scenes, "rescues": len(rescues)}
-        played, more = play_back(rescues, **seen), list[Demonstration]()
+        played = play_back(rescues, **seen)
         for turn in range(config.imitation.recoveries + 1):
             if turn:
                 save_policy(self.folder, self.method.name, training.networks(), config.policy)
                 fresh, share = recoveries(self.folder, rescues, quiet=self.quiet)
-                more, played = more + fresh, played + play_back(fresh, **seen)
-                about |= {"recoveries": len(more), "student_rescues": round(share, 4)}
+                played += play_back(fresh, **seen)
+                about |= {"recoveries": len(played) - len(rescues), "student_rescues": round(share, 4)}
             th.set_num_threads(IMITATION_THREADS)
             for row in tqdm(training.imitate(played, self.seed + turn), desc="imitation", disable=self.quiet):
                 rows.append({"round": turn, **row, "seconds": round(made + time.monotonic() - begun, 2)})

@@ -214,9 +214,7 @@ class ApproachPlanner:
         for i, j in pairs[:PAIRS]:
             path = np.column_stack([solved[0].angles[i], solved[1].angles[j], waists])
             self._checker.body_touch = touch
-            ends = (
-                k for k in BEGINS if all(map(free, path[: k - 1 if k else None : -1])) and path_is_free(path[k:], free)
-            )
+            ends = (k for k in BEGINS if all(map(free, path[k:][::-1])) and path_is_free(path[k:], free))
             begin = next(ends, None)
             # What comes before is in the open, where nothing needs to be touched.
             self._checker.body_touch = OPEN_TOUCH
@@ -247,14 +245,17 @@ class ApproachPlanner:
 
     def _hover(self, arm: Arm, places: Array, waist: float, height: float, near: Array) -> Array:
         """Solve an arm's joints (n, 5) [rad] with its end above places (n, 3) [m], near joints (n, 5) [rad]."""
-        count, back = len(places), max(waist - np.radians(HOVER_LEAN), self._lower[WAIST])
-        slopes = np.full(count, np.radians(HOVER_SLOPE if height > LOW else 0.0))
-        return self._solve_low(arm, places + [0.0, 0.0, height], slopes, np.full(count, back), near)[0]
+        count, slope = len(places), HOVER_SLOPE if height > LOW else 0.0
+        slopes, waists = np.full(count, np.radians(slope)), np.full(count, self._leant_back(waist))
+        return self._solve_low(arm, places + [0.0, 0.0, height], slopes, waists, near)[0]
+
+    def _leant_back(self, waist: float) -> float:
+        return max(waist - float(np.radians(HOVER_LEAN)), float(self._lower[WAIST]))
 
     def _both(self, slide: Slide, back: float, height: float, near: Array) -> Array:
         """Solve all joints (11,) [rad] with both ends above and behind where a slide begins, near other joints."""
         joints, waist = near.copy(), float(slide.path[0, WAIST])
-        joints[WAIST] = max(waist - np.radians(HOVER_LEAN), self._lower[WAIST])
+        joints[WAIST] = self._leant_back(waist)
         for arm, place in zip(ARMS, slide.begins - [back, 0.0, 0.0], strict=True):
             joints[arm.joints] = self._hover(arm, place[None], waist, height, near[None, arm.joints])[0]
         return joints
@@ -274,7 +275,7 @@ class ApproachPlanner:
         """Complete a slide by a way from the start to its beginning, or return None where none was found.
 
         Straight lines by way of a place above the beginning are tried first: they are much alike from scene to scene,
-        so a learner can imitate them, and they are found in a tenth of the time.
+        and they are found much sooner.
         """
         free, begin = self._checker.free, slide.path[0]
         for height, back in HOVERS:
