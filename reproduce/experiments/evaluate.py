@@ -4,12 +4,13 @@ Every method meets the same scenes, and the result of a scene does not depend on
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from lunar_rescue.physics.engines import DEFAULT
@@ -45,16 +46,25 @@ def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method,
     return method, ablated(policy, ablation, method.name)
 
 
-def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any) -> dict[str, Any]:
-    """Act out one rescue and return the scene's row, as ``rows.SceneRow``; ``options`` are more of the reset."""
+def act_out(
+    env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any
+) -> Iterator[tuple[NDArray[np.float32], float, dict[str, Any]]]:
+    """Act out one rescue; yield action (11,), reward and info of each step. ``options`` are more of the reset."""
     observation, _ = env.reset_flat(options={"scene": scene, **options})
     if hasattr(policy, "prepare"):  # the planner knows the scene
         policy.prepare(scene)
-    start, total, done = np.array([True]), 0.0, False
+    start, done = np.array([True]), False
     while not done:
         action = policy.act(observation[None], start)[0]
-        observation, reward, terminated, truncated, last = env.step_flat(action)
-        start, total, done = np.array([False]), total + reward, terminated or truncated
+        observation, reward, terminated, truncated, info = env.step_flat(action)
+        start, done = np.array([False]), terminated or truncated
+        yield action, reward, info
+
+
+def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any) -> dict[str, Any]:
+    """Act out one rescue and return the scene's row, as ``rows.SceneRow``; ``options`` are more of the reset."""
+    _, rewards, infos = zip(*act_out(env, policy, scene, **options), strict=True)
+    total, last = sum(rewards, 0.0), infos[-1]
     return {
         "seed": scene.seed,
         "task": last["task"],

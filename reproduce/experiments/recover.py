@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
 from reproduce.baselines.planner.rollout import Rollout
-from reproduce.experiments.evaluate import find_policy
+from reproduce.experiments.evaluate import act_out, find_policy
 from reproduce.experiments.pool import map_scenes
 from reproduce.learning.demonstrations import Demonstration
 from reproduce.learning.policy import Policy
@@ -39,15 +39,8 @@ def _prepare(folder: str, demonstrations: Sequence[Demonstration]) -> None:
 
 def student_actions(env: LunarRescueEnv, policy: Policy, scene: Scene) -> tuple[Floats, bool]:
     """Let a student act in a scene; return its actions (steps, 11) and whether they were a rescue."""
-    observation, _ = env.reset_flat(options={"scene": scene})
-    actions: list[Floats] = []
-    info: dict[str, Any] = {}
-    start, done = np.array([True]), False
-    while not done:
-        actions.append(policy.act(observation[None], start)[0])
-        observation, _, terminated, truncated, info = env.step_flat(actions[-1])
-        start, done = np.array([False]), terminated or truncated
-    return np.array(actions), bool(info["is_success"])
+    steps = list(act_out(env, policy, scene))
+    return np.array([action for action, _, _ in steps]), bool(steps[-1][2]["is_success"])
 
 
 class Demonstrator:
