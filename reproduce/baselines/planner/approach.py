@@ -6,20 +6,17 @@ solved backwards from several goals for each arm, and RRT-Connect finds the way 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import islice, pairwise
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
-from pydantic.dataclasses import dataclass as strict_dataclass
 
 from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.kinematics import TIP, ArmChain, solve_arms
 from lunar_rescue.physics.robot import ARM_JOINTS, ARMS, WAIST, Arm
+from reproduce.baselines.planner.choices import Stance, load_choices
 from reproduce.baselines.planner.rrt import connect, length, line_is_free, path_is_free, shortcut
-from reproduce.baselines.scripted import DATA, STRICT, Degrees, Metres, read_data
 
 Array = NDArray[np.float64]
 
@@ -30,7 +27,7 @@ REACHED = 0.03  # m, the kinematics may miss a goal by this; the target area is 
 BEFORE = 0.04  # m, the slide begins this far before the entry
 TIP_HEIGHT = 0.016  # m, lowest middle of a plate's tip above the ground
 #: Where the plates come down to where a slide begins: from so high above [m], so far back [m]; the likeliest first.
-HOVERS = ((0.40, 0.0), (0.40, 0.15), (0.25, 0.0), (0.40, 0.30), (0.60, 0.15), (0.60, 0.0))
+HOVERS = ((0.50, 0.05), (0.40, 0.0), (0.40, 0.15), (0.25, 0.0), (0.40, 0.30), (0.60, 0.15))
 LOW = 0.04  # m, from so high above the slide plates go on where they came down further back
 HOVER_SLOPE, HOVER_LEAN = 20.0, 8.0  # deg, there: slope, and waist further back
 TIPS_FIRST = 6.0  # deg, tips point down by so much more where the slide begins
@@ -38,7 +35,7 @@ HEADINGS = (0.0, 0.5, 1.0)  # of slides, between the robot's own and straight in
 SLIDE_STEPS = 5  # places along the slide, the goal included
 PAIRS = 450  # of goals of the two arms, the likeliest ones
 BEGINS = (0, 1, 2, 3)  # places of a slide from which on it may be free, the rest is for RRT-Connect
-OPEN_TOUCH = 0.0  # m, how deep a way may lead into the body before the slide
+OPEN_TOUCH = 0.02  # m, how deep a way may lead into the body before the slide; a suit that is brushed does not move
 CHECKS = 120_000  # collision checks for one scene, about 6 s; most need 500
 LONGEST = 7.5  # rad, a longer way leaves no time for the second process
 
@@ -54,43 +51,9 @@ class Effort:
     slides: int  # slides of one stance for which a way is sought
 
 
-@strict_dataclass(frozen=True, config=STRICT)
-class Stance:
-    """How the waist leans while the plates slide in."""
-
-    under: Degrees  # waist angle with the plates under the body [deg]
-    lean: Annotated[float, Field(ge=-200.0, le=200.0)]  # how much further it leans per metre slid in [deg/m]
-
-
-@strict_dataclass(frozen=True, config=STRICT)
-class Goal:
-    """Where one plate goes, beside its target."""
-
-    ahead: Metres = 0.0  # further under the body [m]
-    aside: Metres = 0.0  # outwards, away from the other arm [m]
-    up: Metres = 0.0  # higher [m]
-    slope: Degrees = -3.0  # forearm above the horizontal [deg]
-    turn: Degrees = 0.0  # direction of the slide, outwards from straight ahead [deg]
-
-
-@strict_dataclass(frozen=True, config=STRICT)
-class Choices:
-    """Stances of the waist and goals of each arm, from the likeliest on, and a word about them."""
-
-    how: str
-    stances: list[Stance]
-    goals: list[Goal]
-
-
-@lru_cache
-def load_choices() -> Choices:
-    """Read stances and goals from the planner's data."""
-    return read_data(DATA / "approach.json", "file of stances and goals", Choices)
-
-
 #: One after the other: most scenes have a way in straight lines, a few need much.
 EFFORTS = (
-    Effort((BODY_TOUCH, 0.02), 0, 6),
+    Effort((BODY_TOUCH, 0.02), 0, 3),
     Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 600, 4),
     Effort((BODY_TOUCH, 0.02, 0.04, 0.07), 4000, 12),
 )
@@ -181,7 +144,8 @@ class ApproachPlanner:
         #: How far before its goal a plate is at each place of a slide [m].
         self._backs = np.linspace(longest + BEFORE, 0.0, SLIDE_STEPS)
         choices = load_choices()
-        self._stances, self._goals = choices.stances, choices.goals
+        self._stances = choices.leaning.stances(float(self.targets[:, 0].mean())) + choices.stances
+        self._goals = choices.goals
         self._solved: dict[Stance, list[Solved]] = {}
 
     def ways(self) -> Iterator[Way]:
