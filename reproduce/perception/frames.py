@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
+from scipy.spatial.distance import cdist
 
 from lunar_rescue import sample_scene
 from lunar_rescue.arrays import Floats
 from lunar_rescue.observation import SLICES
-from lunar_rescue.physics.robot import WAIST
-from lunar_rescue.pictures.head import HEIGHT, WIDTH, pixels
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.seeing import SeeingEnv
@@ -31,7 +30,7 @@ class Frames:
     colour: NDArray[np.uint8]  # (n, HEIGHT, WIDTH, 3)
     depth: NDArray[np.uint16]  # (n, HEIGHT, WIDTH) [mm]
     truth: Floats  # flat observations (n, SIZE)
-    spots: Floats  # where the rocks' tops are in the picture, in the observation's order (n, MAX_ROCKS, 2) [px]
+    spots: Floats  # where the rocks are in the picture, in the observation's order (n, MAX_ROCKS, 2) [px]
     posture: NDArray[np.int64]  # number of the posture of the 20, -1 of any other (n,)
     start: NDArray[np.bool_]  # whether an episode begins here (n,)
 
@@ -74,17 +73,16 @@ def label(env: SeeingEnv) -> Frames:
 
 
 def rock_spots(env: SeeingEnv) -> Floats:
-    """Return where the rocks' tops are in the picture (MAX_ROCKS, 2) [px], in the observation's order."""
+    """Return where rocks are seen (MAX_ROCKS, 2) [px], in the observation's order: the pixel in the middle of each."""
     e, spots = env.episode, np.full((MAX_ROCKS, 2), OUT_OF_VIEW, np.float32)
     if not e.scene.rocks:
         return spots
-    rows = env.truth[SLICES["P_E"]].reshape(MAX_ROCKS, 5)[: len(e.scene.rocks)]
-    tops = e.observer.to_base(e.marks[::5])
-    order = np.linalg.norm(rows[:, None, :3] - tops, axis=-1).argmin(axis=1)
-    counts = np.bincount(env.head.parts.ravel(), minlength=3 + len(tops))[3:][order]
-    places = pixels(rows[:, :3].astype(np.float64), float(e.robot.angles[WAIST]))
-    inside = ((places[:, :2] >= 0) & (places[:, :2] < [WIDTH, HEIGHT])).all(axis=1) & (places[:, 2] > 0)
-    spots[: len(rows)][inside & (counts >= IN_VIEW)] = places[inside & (counts >= IN_VIEW), :2]
+    rows = env.truth[SLICES["P_E"]].reshape(MAX_ROCKS, 5)[: len(e.scene.rocks), :3]
+    order = cdist(rows, e.observer.to_base(e.marks[::5])).argmin(axis=1)
+    for row, rock in enumerate(order):
+        seen = np.argwhere(env.head.parts == 3 + rock)[:, ::-1]
+        if len(seen) >= IN_VIEW:
+            spots[row] = seen[np.linalg.norm(seen - seen.mean(axis=0), axis=1).argmin()] + 0.5
     return spots
 
 

@@ -183,7 +183,8 @@ class EmbeddingTraining:
             (total(terms) + total(more)).backward()
             nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
             self.optimizer.step()
-            told.append({**{n: float(t) for n, t in terms.items()}, **{f"later {n}": float(t) for n, t in more.items()}})
+            terms |= {f"later {name}": term for name, term in more.items()}
+            told.append({name: term.item() for name, term in terms.items()})
         return {name: float(np.mean([row[name] for row in told if name in row])) for name in told[0]}
 
     def _terms(self, frames: Frames, length: int, rng: np.random.Generator) -> dict[str, th.Tensor]:

@@ -37,6 +37,7 @@ MOUNT_ERROR, TURN_ERROR = 0.004, math.radians(0.4)
 DEPTH_NOISE = 0.004  # of the depth, standard deviation of a pixel
 COLOUR_NOISE = 2.5  # of 255, the same of a colour
 SUN_HEIGHT, SUNLIGHT, AMBIENT = (15.0, 60.0), (0.7, 1.4), (0.15, 0.4)  # deg; brightness
+SCENES_OF_A_STAGE = 300  # then it is made anew: PyBullet keeps some memory of every shape that it ever had
 _RIGHT_UP_BACK = np.array(
     [[0.0, -1.0, 0.0], [math.sin(PITCH), 0.0, math.cos(PITCH)], [-math.cos(PITCH), 0.0, math.sin(PITCH)]]
 )  # the camera's axes in the torso, in rows
@@ -116,7 +117,7 @@ class Head:
 
     def __init__(self) -> None:
         """Prepare an empty stage."""
-        self._set = StageSet(Stage(), coarse=True)
+        self._set, self._scenes = StageSet(Stage(), coarse=True), 0
         self.parts = np.zeros((HEIGHT, WIDTH), np.int64)
 
     def close(self) -> None:
@@ -126,6 +127,9 @@ class Head:
     def look(self, episode: Episode, seed: int | None = None) -> Sight:
         """Take a picture of an episode as it is now; its looks follow from ``seed``, or else from the scene's."""
         seed = episode.scene.seed if seed is None else seed
+        if self._scenes >= SCENES_OF_A_STAGE:
+            self._set.close()
+            self._set, self._scenes = StageSet(Stage(), coarse=True), 0
         if self._set.show(episode, (1.0, 1.0, 1.0)):
             self._paint()
         looks, camera = self._camera(episode, seed)
@@ -160,6 +164,7 @@ class Head:
         return looks, head_camera(origin + turned @ place, axes @ turned.T)
 
     def _paint(self) -> None:
+        self._scenes += 1
         self._labels = np.zeros(len(self._set.colours), np.int64)
         self._labels[self._set.robot], self._labels[self._set.suit] = 1, 2
         self._labels[self._set.stones] = 3 + np.arange(len(self._set.stones))
@@ -193,16 +198,16 @@ def _add_mound(
     ``level`` is where rays meet the plane (n, 2), ``flat`` how far they go along it for each metre down (n,).
     """
     x, y, along, across, height, yaw = mound
-    c, s = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[c / along, s / along], [-s / across, c / across]], np.float32)
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cosine / along, sine / along], [-sine / across, cosine / across]], np.float32)
     at = (level - [x, y]).astype(np.float32) @ turn.T
     (near,) = np.nonzero((at * at).sum(axis=1) < (1.0 + flat * height / min(along, across)) ** 2)
     # On the cap z = height (1 - |start + t way|^2), where t is the depth.
     start, way = turn @ (eye[:2] - [x, y]), rays[near, :2] @ turn.T
-    a = height * (way * way).sum(axis=1)
+    a, c = height * (way * way).sum(axis=1), eye[2] - height * (1.0 - start @ start)
     b = 0.5 * rays[near, 2] + height * way @ start
-    root = b * b - a * (eye[2] - height * (1.0 - start @ start))
-    t = (-b - np.sqrt(root.clip(0.0))) / a
+    root = b * b - a * c
+    t = c / (np.sqrt(root.clip(0.0)) - b)  # the nearer of two, in the form that a ray straight down does not upset
     meets = (root > 0.0) & (t > 0.0) & (t < away[near])
     hit, t = near[meets], t[meets]
     away[hit] = t
