@@ -62,7 +62,9 @@ def test_a_ray_meets_a_mound_where_it_does_by_hand() -> None:
     for aside, away in ((0.0, 0.9), (0.25, 0.925)):
         depth, normal = np.ones(2, np.float32), np.tile(np.array([0, 0, 1], np.float32), (2, 1))
         eye = np.array([aside, 0.0, 1.0], np.float32)
-        _add_mound(mound, rays + np.float32(1e-4), eye, np.tile(eye[:2], (2, 1)), np.zeros(2, np.float32), depth, normal)
+        _add_mound(
+            mound, rays + np.float32(1e-4), eye, np.tile(eye[:2], (2, 1)), np.zeros(2, np.float32), depth, normal
+        )
         assert depth == pytest.approx(away, abs=2e-3)
         # The cap's slope is -2 h x / r^2, and its normal leans against it.
         assert normal[0, 0] == pytest.approx(2 * 0.1 * aside / 0.25, abs=2e-3)
@@ -126,8 +128,13 @@ def test_nothing_but_pixels_tells_of_body_targets_and_rocks(seeing: SeeingEnv) -
     assert not vector[hidden].any() and seeing.truth[hidden].any()
     # Two scenes that differ in posture and rocks alone have the same own sensors.
     scene = replace(sample_scene(11), rocks=())
-    other = replace(scene, posture=next(p for p in ("supine_straight", "prone_straight") if p != scene.posture), task="lift")
-    plain, moved = (seeing.reset(options={"scene": s})[0] for s in (replace(scene, task="lift", posture="supine_arms_spread"), other))
+    other = replace(
+        scene, posture=next(p for p in ("supine_straight", "prone_straight") if p != scene.posture), task="lift"
+    )
+    plain, moved = (
+        seeing.reset(options={"scene": s})[0]
+        for s in (replace(scene, task="lift", posture="supine_arms_spread"), other)
+    )
     assert all(np.array_equal(plain[key], moved[key]) for key in ("up", *OWN))
     assert not np.array_equal(plain["depth"], moved["depth"])
     after, *_ = seeing.step(np.zeros(11, np.float32))
@@ -157,6 +164,8 @@ def test_the_stage_is_not_larger_than_it_must_be() -> None:
     from lunar_rescue.pictures import shapes
 
     limbs = sample_scene(0).model.limbs
-    fine, coarse = (sum(len(m.faces) for m in shapes.suit_shapes(limbs, d).values()) for d in (shapes.FINE, shapes.COARSE))
+    fine, coarse = (
+        sum(len(m.faces) for m in shapes.suit_shapes(limbs, d).values()) for d in (shapes.FINE, shapes.COARSE)
+    )
     assert coarse < fine / 4
     assert Path(shapes.__file__).is_file() and Camera((0, 0, 0)).size[0] > WIDTH

@@ -64,7 +64,7 @@ class Oracle(th.nn.Module):
 
 
 def test_what_is_seen_rightly_fills_the_state_as_the_environment_does(seeing: SeeingEnv) -> None:
-    """Every key but the order of rocks, which the environment takes from their middles and a picture from their tops."""
+    """Every key but the order of rocks, which the environment takes from their middles, a picture from their tops."""
     fills = Estimator(Oracle(seeing))  # type: ignore[arg-type]
     for seed in range(15):
         own, _ = seeing.reset_flat(seed=seed)
@@ -101,7 +101,9 @@ def test_a_resting_body_keeps_its_height_and_how_it_lies() -> None:
 
 def test_rocks_are_read_once_each_by_hand() -> None:
     cells = np.full((5, ROWS, COLUMNS), -9.0, np.float32)
-    for column, rock in enumerate([(2.0, 1.0, 0.0, 0.1, 0.06), (3.0, 1.05, 0.0, 0.1, 0.07), (0.5, 1.3, 0.0, 0.1, 0.08)]):
+    for column, rock in enumerate(
+        [(2.0, 1.0, 0.0, 0.1, 0.06), (3.0, 1.05, 0.0, 0.1, 0.07), (0.5, 1.3, 0.0, 0.1, 0.08)]
+    ):
         cells[:, 4, column] = rock
     found = read_rocks(cells)
     assert found[:, 0].tolist() == pytest.approx([1.05, 1.3])  # the surer of two that are 5 cm apart
@@ -113,7 +115,11 @@ def test_a_pixel_s_point_is_where_its_depth_says(seeing: SeeingEnv) -> None:
     depth = np.full((1, HEIGHT, WIDTH), 1600, np.uint16)
     colour = np.zeros((1, HEIGHT, WIDTH, 3), np.uint8)
     points = picture_input(colour, depth, np.zeros((1, SIZE), np.float32))[0, :3].numpy()
-    middle = points[:, HEIGHT // 2 - 1 : HEIGHT // 2 + 1, WIDTH // 2 - 1 : WIDTH // 2 + 1].mean(axis=(1, 2)) + [1, 0, 0.2]
+    middle = points[:, HEIGHT // 2 - 1 : HEIGHT // 2 + 1, WIDTH // 2 - 1 : WIDTH // 2 + 1].mean(axis=(1, 2)) + [
+        1,
+        0,
+        0.2,
+    ]
     assert middle == pytest.approx([0.06 + 1.6 * np.cos(PITCH), 0.0, 1.25 - 1.6 * np.sin(PITCH)], abs=1e-4)
     for waist in (0.0, 0.4, -0.3):
         (axes, place), (at, rows) = _camera(th.tensor([waist])), camera_pose(waist)
@@ -234,7 +240,9 @@ def test_losses_by_hand(first: Frames) -> None:
     motion, rocks = body[:, 9:15].view(-1, 2, 3), th.full((len(first), 5, ROWS, COLUMNS), -50.0)
     seen = Seen(points, zeros.repeat(1, 14), motion, zeros.repeat(1, 2), odds, ground, rocks)
     terms = loss_of(seen, first)
-    assert [float(terms[name]) for name in ("points", "motion", "posture", "ground")] == pytest.approx([0.0] * 4, abs=1e-6)
+    assert [float(terms[name]) for name in ("points", "motion", "posture", "ground")] == pytest.approx(
+        [0.0] * 4, abs=1e-6
+    )
     assert terms["found"] > 10.0  # rocks are there, and none was said
     # 0.4 m off along each axis is one SPREAD: half its square.
     assert float(loss_of(seen._replace(points=points + 0.4), first)["points"]) == pytest.approx(0.5, abs=1e-5)
@@ -303,7 +311,9 @@ def test_errors_by_hand() -> None:
 def test_rocks_are_counted_by_hand() -> None:
     real, said = np.zeros(SIZE, np.float32), np.zeros(SIZE, np.float32)
     real[SLICES["P_E"]] = np.concatenate([[1, 0, 0, 0.1, 1], [1, 1, 0, 0.1, 1], [2, 0, 0, 0.1, 1], np.zeros(20)])
-    said[SLICES["P_E"]] = np.concatenate([[1.05, 0, 0, 0.1, 1], [0.5, 0.5, 0, 0.1, 1], [2, 0.05, 0, 0.1, 1], np.zeros(20)])
+    said[SLICES["P_E"]] = np.concatenate(
+        [[1.05, 0, 0, 0.1, 1], [0.5, 0.5, 0, 0.1, 1], [2, 0.05, 0, 0.1, 1], np.zeros(20)]
+    )
     in_view = np.array([True, True, False, False, False, False, False])
     assert measuring.rocks_found(said, real, in_view) == {"in_view": 2, "found": 1, "said": 3, "real": 2}
 
@@ -313,7 +323,8 @@ def test_a_summary_by_hand() -> None:
         {
             "posture": ["a", "a", "b", "b"], "recognised": ["a", "b", "b", "b"], "hidden": [0.05, 0.15, 0.15, 0.6],
             "centre_cm": [1.0, 2.0, 3.0, 10.0], "attitude_deg": [1.0] * 4, "keypoints_cm": [1.0] * 4,
-            "targets_cm": [1.0] * 4, "in_view": [2, 1, 0, 1], "found": [2, 0, 0, 1], "said": [2, 1, 1, 1], "real": [2, 1, 0, 1],
+            "targets_cm": [1.0] * 4, "in_view": [2, 1, 0, 1], "found": [2, 0, 0, 1], "said": [2, 1, 1, 1],
+            "real": [2, 1, 0, 1],
         }
     )  # fmt: skip
     told = measuring.summarise_first(rows)
@@ -326,6 +337,8 @@ def test_a_summary_by_hand() -> None:
 
 def test_the_loss_is_a_sum(first: Frames) -> None:
     network = EmbeddingTraining(EmbeddingConfig()).network
-    seen, _ = network(picture_input(first.colour, first.depth, first.truth), th.from_numpy(first.truth[:, OWN]), 1, None)
+    seen, _ = network(
+        picture_input(first.colour, first.depth, first.truth), th.from_numpy(first.truth[:, OWN]), 1, None
+    )
     terms = loss_of(seen, first)
     assert total(terms).item() == pytest.approx(sum(term.item() for term in terms.values()), rel=1e-5)

@@ -1,4 +1,4 @@
-"""The environment as a robot sees it: pictures of its head camera and its own sensors, nothing of what lies before it."""
+"""The environment as a robot sees it: pictures of its head camera, and its own sensors."""
 
 from typing import Any
 
@@ -52,9 +52,7 @@ class SeeingEnv(LunarRescueEnv):
         vector, info = self.reset_flat(seed, options)
         return self._seen(vector), info
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Hold an action for 0.1 s and return what Gymnasium wants of a step."""
         vector, reward, terminated, truncated, info = self.step_flat(action)
         return self._seen(vector), reward, terminated, truncated, info

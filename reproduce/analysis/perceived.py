@@ -27,7 +27,7 @@ from reproduce.perception.frames import OUT_OF_VIEW, rock_spots
 from reproduce.perception.measuring import ERRORS, errors, first_picture
 from reproduce.storage.files import read_json
 
-MISSING = "The embedding was not trained or evaluated yet: `reproduce perceive train`, then `reproduce perceive evaluate`."
+MISSING = "The embedding was not evaluated yet: `reproduce perceive train`, then `reproduce perceive evaluate`."
 GOALS = {
     "posture_right": ("posture right", ">=", 0.97, "{:.1%}"),
     "centre_cm_median": ("centre of gravity, median [cm]", "<=", 3.0, "{:.2f}"),
@@ -72,7 +72,9 @@ def skeletons(seed: int, count: int, where: str = "scripted", folder: Path = FOL
     with closing(EstimatedEnv(load_embedding(folder))) as env:
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed)})
         while not done:
-            frames.append((env.sight.colour, float(env.episode.robot.angles[WAIST]), observation, env.truth, rock_spots(env)))
+            frames.append(
+                (env.sight.colour, float(env.episode.robot.angles[WAIST]), observation, env.truth, rock_spots(env))
+            )
             rows.append({"step": env.episode.steps, "process": env.episode.process, **errors(observation, env.truth)})
             action = policy.act(observation[None], np.array([env.episode.steps == 0]))[0]
             observation, _, terminated, truncated, _ = env.step_flat(action)
@@ -149,7 +151,9 @@ def goals(folder: Path = FOLDER) -> pd.DataFrame:
         for key, (words, sign, goal, form) in GOALS.items():
             met = told[key] >= goal if sign == ">=" else told[key] <= goal
             asked = f"{sign} {form.format(goal)}"
-            table.append({"scenes": name, "what": words, "measured": form.format(told[key]), "asked": asked, "met": met})
+            table.append(
+                {"scenes": name, "what": words, "measured": form.format(told[key]), "asked": asked, "met": met}
+            )
     return pd.DataFrame(table, columns=["scenes", "what", "measured", "asked", "met"])
 
 
@@ -184,5 +188,7 @@ def rows_of(name: str, folder: Path = FOLDER) -> pd.DataFrame:
 def in_words(rows: pd.DataFrame) -> str:
     """Say how the errors along one rescue go."""
     process = rows.groupby("process")[["centre_cm", "attitude_deg"]].median()
-    said = [f"in process {p}: {row['centre_cm']:.1f} cm, {row['attitude_deg']:.1f} deg" for p, row in process.iterrows()]
+    said = [
+        f"in process {p}: {row['centre_cm']:.1f} cm, {row['attitude_deg']:.1f} deg" for p, row in process.iterrows()
+    ]
     return f"Medians over {len(rows)} pictures, " + "; ".join(said) + "."

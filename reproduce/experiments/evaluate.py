@@ -83,9 +83,7 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: An
     }
 
 
-def put_into(
-    simulator: str, policy: Policy, plans_of: str | None = None, observation: str = "state"
-) -> LunarRescueEnv:
+def put_into(simulator: str, policy: Policy, plans_of: str | None = None, observation: str = "state") -> LunarRescueEnv:
     """Return an environment in a simulator; a policy that tries out what it plans does so there, or in ``plans_of``.
 
     With ``observation="image"`` its observations are what the embedding of ``results/perception`` makes of pictures.
@@ -173,8 +171,8 @@ def evaluate(
     """Test a policy on ``tests`` scenes and return the summary.
 
     ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The planner
-    tries its plans out in ``plans_of``, if that is given, and does them in ``simulator``. ``observation`` is ``"state"``
-    or ``"image"``: what the embedding makes of the head camera's pictures. The summary goes to ``json``
+    tries its plans out in ``plans_of``, if that is given, and does them in ``simulator``. ``observation`` is
+    ``"state"``, or ``"image"`` for what the embedding makes of the head camera's pictures. The summary goes to ``json``
     with the rows beside it (``rows.rows_path``); ``tell`` is called with it first, so that it is seen if writing fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe

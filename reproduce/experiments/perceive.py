@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +96,9 @@ def evaluate_embedding(
     seeds = scene_seeds(tests, first_seed)
     load_embedding(folder)
     name = "" if split_of(first_seed) in ("train", "validation", "test") else "heldout_"
-    first, along, summary = (folder / f"{name}{n}" for n in ("first_pictures.csv", "along_rescues.csv", "evaluation.json"))
+    first, along, summary = (
+        folder / f"{name}{n}" for n in ("first_pictures.csv", "along_rescues.csv", "evaluation.json")
+    )
     for path in (first, along, summary):
         check_writable(path)
     with locked(folder, "evaluation of the embedding"):

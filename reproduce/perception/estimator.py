@@ -109,7 +109,9 @@ class Estimator:
             ValueError: On a picture of another shape or type.
         """
         pictures = picture_input(sight.colour[None], sight.depth[None], own[None])
-        self.seen, self._state = self.network(pictures, th.from_numpy(own[None, OWN]), 1, None if start else self._state)
+        self.seen, self._state = self.network(
+            pictures, th.from_numpy(own[None, OWN]), 1, None if start else self._state
+        )
         odds = th.log_softmax(self.seen.posture[0], dim=0).numpy()
         self.belief = odds if start else self.belief + odds
         geometry, rotation, centre = self._body(own, start)

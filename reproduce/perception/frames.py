@@ -1,4 +1,4 @@
-"""Labelled pictures: first ones of many scenes, and whole rollouts of policies, some on the embedding's own estimates."""
+"""Labelled pictures: first ones of many scenes, and those of policies' rollouts, some on the embedding's estimates."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields

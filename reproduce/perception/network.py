@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import nn
 
 from lunar_rescue.observation import GROUND_POINTS, SLICES
-from lunar_rescue.pictures.head import HEIGHT, MOUNT, PITCH, WAIST_HEIGHT, WIDTH, pixel_rays
 from lunar_rescue.physics.robot import WAIST_WINDOW
+from lunar_rescue.pictures.head import HEIGHT, MOUNT, PITCH, WAIST_HEIGHT, WIDTH, pixel_rays
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.records import checked
 from lunar_rescue.scenes.suit import KEYPOINT_NAMES
@@ -36,7 +36,14 @@ MIDDLE, SPREAD = (1.0, 0.0, 0.2), 0.4  # m, of the points; rough, so that output
 SPEED, SPIN = 0.2, 0.5  # m/s and rad/s, the same of the body's motion
 LEAST, MOST = -7.0, 3.0  # of the logarithm of a variance
 #: Outputs of the last layer by name, and how many.
-PARTS = {"points": 3 * POINTS, "spread": POINTS, "motion": 6, "doubt": 2, "posture": 20, "ground": 2 * GROUND_POINTS + 1}
+PARTS = {
+    "points": 3 * POINTS,
+    "spread": POINTS,
+    "motion": 6,
+    "doubt": 2,
+    "posture": 20,
+    "ground": 2 * GROUND_POINTS + 1,
+}
 State = tuple[th.Tensor, th.Tensor]
 
 
@@ -157,7 +164,7 @@ def picture_input(colour: NDArray[np.uint8], depth: NDArray[np.uint16], observat
 
 
 def _camera(waist: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-    """Return the camera's axes in rows (n, 3, 3) and places (n, 3) [m] in the base frame for waist angles (n,) [rad]."""
+    """Return axes in rows (n, 3, 3) and places (n, 3) [m] of the camera in the base frame, by waist (n,) [rad]."""
     lean, none = waist + PITCH, th.zeros_like(waist)
     right = th.stack([none, none - 1.0, none], dim=1)
     up = th.stack([lean.sin(), none, lean.cos()], dim=1)

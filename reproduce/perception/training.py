@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,9 @@ class EmbeddingConfig:
         usual = cls()
         share = scenes / usual.scenes
         rescues, own = (max(2, round(share * number)) for number in (usual.rescues, usual.own_rescues))
-        return replace(usual, seed=seed, scenes=scenes, rescues=rescues, own_rescues=own, batch=min(usual.batch, scenes))
+        return replace(
+            usual, seed=seed, scenes=scenes, rescues=rescues, own_rescues=own, batch=min(usual.batch, scenes)
+        )
 
 
 def loss_of(seen: Seen, frames: Frames, shift: tuple[int, int] = (0, 0)) -> dict[str, th.Tensor]:
@@ -200,7 +203,7 @@ class EmbeddingTraining:
 def _pieces(frames: Frames, length: int) -> Any:
     """Return the numbers of the frames of each piece of a rescue, (m, length)."""
     begins = np.append(np.flatnonzero(frames.start), len(frames))
-    rows = [np.arange(a, b - length + 1) for a, b in zip(begins[:-1], begins[1:], strict=True)]
+    rows = [np.arange(a, b - length + 1) for a, b in pairwise(begins)]
     return np.concatenate(rows)[:, None] + np.arange(length)
 
 

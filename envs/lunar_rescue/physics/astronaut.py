@@ -91,6 +91,7 @@ class BodyGeometry(NamedTuple):
 
 @lru_cache(maxsize=256)
 def body_geometry(posture: Posture, side: int, task: str) -> BodyGeometry:
+    """Return what follows from posture, side of the robot (+1 or -1) and task, wherever the body lies."""
     properties, rest, areas = mass_properties(posture.limbs), posture.rest_rotation(), target_areas(posture, side, task)
     axes = Rotation.from_quat(properties.axes)
     targets, skeleton = rest.inv().apply(areas.offsets), keypoints(posture.limbs) - properties.centre

@@ -1,10 +1,10 @@
 """The robot's head camera (section 3.1): colour and depth of what stands before it, drawn without a display.
 
-The camera stands on a mast on the torso, so that it sees over raised arms and leans with the waist, and looks 50 degrees
-down: 96 x 72 pixels, 66 degrees upright.
-Bodies are drawn by PyBullet's software renderer from coarse shapes and without shadows; the ground, a plane with
-mounds, is met by each ray in closed form, as drawing it would cost most of the time. What a robot cannot choose, the
-light, the regolith, the suit's colour and how exactly the camera is mounted, is drawn from a seed.
+The camera stands on a mast on the torso, so that it sees over raised arms and leans with the waist, and looks 50
+degrees down: 96 x 72 pixels, 66 degrees upright. Bodies are drawn by PyBullet's software renderer from coarse shapes
+and without shadows; the ground, a plane with mounds, is met by each ray in closed form, as drawing it would cost most
+of the time. What a robot cannot choose, the light, the regolith, the suit's colour and how exactly the camera is
+mounted, is drawn from a seed.
 """
 
 import math
