@@ -1,11 +1,13 @@
 """The embedding's network: pictures and the robot's own sensors in, the body, its posture, rocks and ground out.
 
 ```
-colour, depth -> points (base frame) and colours -> 4 convolutions, group norm -> 192 features --+-> fully connected
-own sensors -> standardised --------------------------------------------------+-> LSTM ----------+-> body, ground
-features of a cell (4 x 4 px) and of the whole -> rocks
+colour, depth -> points in the base frame, colours -> 4 convolutions with group norm -> 192 features --+
+features of a cell (4 x 4 px) and of what is around it -> rocks, and cells to look at -> their points --+
+own sensors, standardised ------------------------------------------------------------------------------+-> LSTM
+all of these and the LSTM -> two fully connected layers -> body, posture, motion, ground
 ```
-Depth and the waist's angle say where in the base frame each pixel lies, and that is what the network sees.
+Depth and the waist's angle say where in the base frame each pixel lies, and that is what the network sees. For each
+point of the body it looks at some cells, takes the mean of where they are, and adds what lies between.
 """
 
 from dataclasses import dataclass
@@ -93,14 +95,15 @@ class Embedding(nn.Module):
         self.cells = nn.Sequential(_layer(6, 32, CELL, CELL, 0), _layer(32, 32, 3, 1, 1))
         self.whole = nn.Sequential(_layer(32, 64, 3, 2, 1), _layer(64, 96, 3, 2, 1))
         self.features = nn.Sequential(nn.Flatten(), nn.Linear(96 * 5 * 6, FEATURES), nn.ReLU())
-        self.lstm = nn.LSTM(FEATURES + len(OWN), hidden_units)
-        joined = FEATURES + len(OWN) + hidden_units
-        self.head = nn.Sequential(nn.Linear(joined, FEATURES), nn.ReLU(), nn.Linear(FEATURES, sum(PARTS.values())))
         self.around = nn.Conv2d(96, 16, 1)
-        self.rock = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), nn.Conv2d(48, 5, 1))
+        self.places = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), nn.Conv2d(48, 5 + POINTS, 1))
+        inputs = FEATURES + len(OWN) + 3 * POINTS
+        self.lstm = nn.LSTM(inputs, hidden_units)
+        last = nn.Linear(FEATURES, sum(PARTS.values()))
+        self.head = nn.Sequential(nn.Linear(inputs + hidden_units, FEATURES), nn.ReLU(), last)
         self.register_buffer("middle", th.zeros(len(OWN)))
         self.register_buffer("scale", th.ones(len(OWN)))
-        nn.init.constant_(self.rock[2].bias[:1], -4.0)  # hardly any cell has a rock
+        nn.init.constant_(self.places[2].bias[:1], -4.0)  # hardly any cell has a rock
 
     def set_training_mode(self, mode: bool) -> None:
         """Go into training or out of it, by the name that SB3's networks have for it."""
@@ -117,17 +120,19 @@ class Embedding(nn.Module):
         """
         fine = self.cells(pictures)
         coarse = self.whole(fine)
+        around = nn.functional.interpolate(self.around(coarse), size=(ROWS, COLUMNS), mode="nearest")
+        places, cells = self.places(th.cat([fine, around], dim=1)), _cell_points(pictures)
+        looked_at = places[:, 5:].flatten(2).softmax(dim=2) @ cells.flatten(2).transpose(1, 2)
+        away = ((looked_at - pictures.new_tensor(MIDDLE)) / SPREAD).flatten(1)
         known = ((own - self.middle) / self.scale).clamp(-5.0, 5.0)
-        inputs = th.cat([self.features(coarse), known], dim=1)
+        inputs = th.cat([self.features(coarse), known, away], dim=1)
         hidden, after = self.lstm(inputs.view(length, -1, inputs.shape[1]), state)
         joined = self.head(th.cat([inputs, hidden.reshape(len(inputs), -1)], dim=1))
         points, spread, motion, doubt, posture, ground = joined.split(list(PARTS.values()), dim=1)
-        around = nn.functional.interpolate(self.around(coarse), size=(ROWS, COLUMNS), mode="nearest")
-        rocks = self.rock(th.cat([fine, around], dim=1))
-        tops = _cell_points(pictures) + 0.1 * rocks[:, 1:4]
-        rocks = th.cat([rocks[:, :1], tops, 0.05 + 0.05 * rocks[:, 4:]], dim=1)
+        tops = cells + 0.1 * places[:, 1:4]
+        rocks = th.cat([places[:, :1], tops, 0.05 + 0.05 * places[:, 4:5]], dim=1)
         moving = motion.view(-1, 2, 3) * motion.new_tensor([SPEED, SPIN])[:, None]
-        placed = points.view(-1, POINTS, 3) * SPREAD + points.new_tensor(MIDDLE)
+        placed = looked_at + SPREAD * points.view(-1, POINTS, 3)
         spread, doubt = spread.clamp(LEAST, MOST), doubt.clamp(LEAST, MOST)
         return Seen(placed, spread, moving, doubt, posture, ground, rocks), after
 
