@@ -248,6 +248,23 @@ def test_losses_by_hand(first: Frames) -> None:
     assert float(loss_of(seen._replace(points=points + 0.4), first)["points"]) == pytest.approx(0.5, abs=1e-5)
 
 
+def test_what_is_turned_is_turned_in_pictures_and_labels_alike(first: Frames) -> None:
+    """A turn about the base keeps distances: between points of the body, and from pixels to them, all but the move."""
+    pictures = picture_input(first.colour, first.depth, first.truth)
+    before = pictures.clone()
+    after = training.turned(pictures, first, 1, np.random.default_rng(0))
+    for index in range(len(first)):
+        heads, pixels = [], []
+        for frames, seen in ((first, before), (after, pictures)):
+            heads.append(frames.truth[index, SLICES["P_P"]][[15, 16, 17]])
+            pixels.append(seen[index, :3, 40, 48].numpy() + [1.0, 0.0, 0.2])
+        assert np.linalg.norm(heads[0] - pixels[0]) == pytest.approx(np.linalg.norm(heads[1] - pixels[1]), abs=1e-4)
+        assert heads[0][2] == heads[1][2] and not np.allclose(heads[0], heads[1])
+    assert measuring.rotation_of(after.truth[0]).T @ measuring.rotation_of(after.truth[0]) == pytest.approx(
+        np.eye(3), abs=1e-5
+    )
+
+
 @pytest.mark.process
 def test_a_small_training_lowers_the_loss(seeing: SeeingEnv, first: Frames) -> None:
     """Twelve pictures again and again: postures are learnt by heart.

@@ -27,6 +27,7 @@ from reproduce.perception.frames import Frames, first_frames, joined, rollouts
 from reproduce.perception.network import (
     CELL,
     COLUMNS,
+    MIDDLE,
     OWN,
     ROWS,
     SPEED,
@@ -55,6 +56,7 @@ from reproduce.storage.records import to_dict
 
 FIRST_SEED = 1_700_000_000  # of the training scenes that are looked at; those of demonstrations begin elsewhere
 SHIFT = 3  # px, pictures are moved by up to this each way
+TURN, MOVE = math.radians(8.0), 0.06  # rad and m, what they show is turned and moved by up to this
 NEIGHBOURS = 0.1  # weight of the cells around a rock, which may as well have been taken for it
 WARM_UP = 0.05  # share of the training in which the learning rate rises
 
@@ -68,10 +70,10 @@ class EmbeddingConfig:
     scenes: PositiveInt = 8000  # whose first picture is looked at
     rescues: PositiveInt = 100  # acted out on true states in the first round
     own_rescues: PositiveInt = 60  # acted out on the embedding's estimates before the second round
-    epochs: PositiveInt = 10  # of the first round
-    own_epochs: PositiveInt = 5  # of the second round
-    batch: PositiveInt = 64  # first pictures of a minibatch
-    chunks: PositiveInt = 4  # pieces of rescues of a minibatch
+    epochs: PositiveInt = 14  # of the first round
+    own_epochs: PositiveInt = 6  # of the second round
+    batch: PositiveInt = 32  # first pictures of a minibatch
+    chunks: PositiveInt = 2  # pieces of rescues of a minibatch
     length: PositiveInt = 12  # pictures of a piece
     learning_rate: float = 1e-3  # highest, of Adam; rises, then falls as a cosine to nothing
 
@@ -137,6 +139,29 @@ def total(terms: dict[str, th.Tensor]) -> th.Tensor:
     return th.stack(list(terms.values())).sum()
 
 
+def turned(pictures: th.Tensor, frames: Frames, length: int, rng: np.random.Generator) -> Frames:
+    """Move everything that pictures (n, 6, h, w) show a little about the robot, in place; return frames that say so.
+
+    Each episode of ``length`` pictures is turned about the base's vertical and moved along the ground by amounts of its
+    own: one picture stands for many places of the base.
+    """
+    episodes = len(frames) // length
+    angles, moves = rng.uniform(-TURN, TURN, episodes), rng.uniform(-MOVE, MOVE, (episodes, 1, 2))
+    c, s = np.tile(np.cos(angles), length), np.tile(np.sin(angles), length)
+    turns, moves = np.array([[c, s], [-s, c]]).transpose(2, 0, 1), np.tile(moves, (length, 1, 1))  # rows times turns
+    middle = np.array(MIDDLE[:2])
+    shift = th.from_numpy((middle @ turns + moves[:, 0] - middle).astype(np.float32))
+    flat = pictures[:, :2].flatten(2).transpose(1, 2) @ th.from_numpy(turns.astype(np.float32))
+    pictures[:, :2] = flat.transpose(1, 2).reshape(pictures[:, :2].shape) + shift[:, :, None, None]
+    truth = frames.truth.copy()
+    body, rocks = truth[:, SLICES["P_P"]].reshape(len(truth), -1, 3), truth[:, SLICES["P_E"]].reshape(-1, MAX_ROCKS, 5)
+    body[..., :2], rocks[..., :2] = body[..., :2] @ turns, rocks[..., :2] @ turns
+    body[:, [0, *range(5, body.shape[1])], :2] += moves
+    rocks[..., :2] += moves * rocks[..., 4:]
+    truth[:, SLICES["P_P"]], truth[:, SLICES["P_E"]] = body.reshape(len(truth), -1), rocks.reshape(len(truth), -1)
+    return replace(frames, truth=truth)
+
+
 class EmbeddingTraining:
     """Network, optimiser and how far they are, as ``storage.checkpoint`` keeps them."""
 
@@ -192,6 +217,7 @@ class EmbeddingTraining:
 
     def _terms(self, frames: Frames, length: int, rng: np.random.Generator) -> dict[str, th.Tensor]:
         pictures = picture_input(frames.colour, frames.depth, frames.truth)
+        frames = turned(pictures, frames, length, rng)
         right, down = (int(shift) for shift in rng.integers(-SHIFT, SHIFT + 1, 2))
         padded = nn.functional.pad(pictures, (SHIFT,) * 4, mode="replicate")
         top, left = SHIFT - down, SHIFT - right
