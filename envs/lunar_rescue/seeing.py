@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.env import LunarRescueEnv
-from lunar_rescue.observation import BOUND, SIZE, SLICES
+from lunar_rescue.observation import BOUND, SIZE, SLICES, observation_space
 from lunar_rescue.pictures.head import HEIGHT, WIDTH, Head, Sight
 
 #: Keys of the observation that the robot's own sensors, its task and its memory give.
@@ -35,7 +35,7 @@ class SeeingEnv(LunarRescueEnv):
         """Connect to the simulator; ``arguments`` are those of ``LunarRescueEnv``."""
         super().__init__(**arguments)
         self.head = Head()
-        own = {key: self.observation_space[key] for key in OWN}
+        own = {key: observation_space()[key] for key in OWN}
         self.observation_space = spaces.Dict(
             {
                 "colour": spaces.Box(0, 255, (HEIGHT, WIDTH, 3), np.uint8),

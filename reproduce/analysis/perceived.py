@@ -117,13 +117,13 @@ def along_rescues(rows: pd.DataFrame) -> Figure:
     """Draw medians and nine tenths of the errors along rescues, and the errors by how much of the suit is hidden."""
     figure, axes = plt.subplots(1, 2, figsize=(12, 4), layout="constrained")
     for name, label in (("centre_cm", "centre of gravity [cm]"), ("attitude_deg", "attitude [deg]")):
-        quantiles = rows.groupby("step")[name].quantile([0.5, 0.9]).unstack()
-        axes[0].plot(quantiles.index, quantiles[0.5], label=label)
-        axes[0].fill_between(quantiles.index, quantiles[0.5], quantiles[0.9], alpha=0.2)
+        middle, high = (rows.groupby("step")[name].quantile(share) for share in (0.5, 0.9))
+        axes[0].plot(middle.index, middle, label=label)
+        axes[0].fill_between(middle.index, middle, high, alpha=0.2)
     axes[0].set(xlabel="step", ylabel="median, up to the 90th percentile", ylim=(0, None))
     axes[0].legend()
-    band = pd.cut(rows["hidden"], np.linspace(0, 1, 11), include_lowest=True)
-    sns.boxplot(x=band.map(lambda b: f"{100 * max(b.left, 0):.0f}"), y=rows["centre_cm"], ax=axes[1], showfliers=False)
+    band = (10 * rows["hidden"]).clip(0, 9).astype(int)
+    sns.boxplot(x=10 * band, y=rows["centre_cm"], ax=axes[1], showfliers=False)
     axes[1].set(xlabel="suit hidden by the arms, from [%]", ylabel="centre of gravity [cm]")
     return figure
 

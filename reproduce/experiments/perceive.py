@@ -171,11 +171,11 @@ def compare_states(
     nested = map_scenes(_rescue, seeds, _prepare, arguments, title=f"states {method}", quiet=quiet)
     rows = pd.DataFrame([row for scene in nested for row in scene])
     told = {"method": method, "split": split_of(first_seed), "first_seed": first_seed, "noise": noise}
-    told |= {"states": summarise_states(rows), "origin": provenance()}
+    told |= {"states": (table_of_states := summarise_states(rows)), "origin": provenance()}
     write_table(table, rows)
     for path in filter(None, (summary, json)):
         write_json(path, told)
-    for row in told["states"]:
+    for row in table_of_states:
         rate, low, high = (100 * row[key] for key in ("success_rate", "wilson_low", "wilson_high"))
         tell(f"{row['state']}: {row['successes']} of {row['tests']}, {rate:.1f} % [{low:.1f}, {high:.1f}]")
     return told

@@ -89,7 +89,10 @@ class Estimator:
     def __init__(self, network: Embedding) -> None:
         """Begin with no episode; ``network`` is used as it is."""
         self.network = network
+        self.belief: Floats
+        self.seen: Seen
         self._state: State | None = None
+        self._inwards: Array
 
     @property
     def posture(self) -> Posture:

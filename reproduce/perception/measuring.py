@@ -102,6 +102,7 @@ def summarise_first(rows: pd.DataFrame) -> dict[str, Any]:
     """Return what the rows of first pictures say: share of right postures, medians of errors, precision and recall."""
     counts = rows[["in_view", "found", "said", "real"]].sum()
     wrong = rows[rows["posture"] != rows["recognised"]]
+    pairs = (wrong["posture"] + " as " + wrong["recognised"]).value_counts()
     return {
         "pictures": len(rows),
         "posture_right": float((rows["posture"] == rows["recognised"]).mean()),
@@ -110,7 +111,7 @@ def summarise_first(rows: pd.DataFrame) -> dict[str, Any]:
         "rocks_in_view": int(counts["in_view"]),
         "rock_recall": float(counts["found"] / max(counts["in_view"], 1)),
         "rock_precision": float(counts["real"] / max(counts["said"], 1)),
-        "confused": {f"{a} as {b}": int(n) for (a, b), n in wrong.groupby(["posture", "recognised"]).size().items()},
+        "confused": {str(pair): int(number) for pair, number in pairs.items()},
         "by_occlusion": by_occlusion(rows.assign(right=rows["posture"] == rows["recognised"])),
     }
 

@@ -96,14 +96,16 @@ class Embedding(nn.Module):
         self.whole = nn.Sequential(_layer(32, 64, 3, 2, 1), _layer(64, 96, 3, 2, 1))
         self.features = nn.Sequential(nn.Flatten(), nn.Linear(96 * 5 * 6, FEATURES), nn.ReLU())
         self.around = nn.Conv2d(96, 16, 1)
-        self.places = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), nn.Conv2d(48, 5 + POINTS, 1))
+        found = nn.Conv2d(48, 5 + POINTS, 1)
+        self.places = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), found)
         inputs = FEATURES + len(OWN) + 3 * POINTS
         self.lstm = nn.LSTM(inputs, hidden_units)
         last = nn.Linear(FEATURES, sum(PARTS.values()))
         self.head = nn.Sequential(nn.Linear(inputs + hidden_units, FEATURES), nn.ReLU(), last)
         self.register_buffer("middle", th.zeros(len(OWN)))
         self.register_buffer("scale", th.ones(len(OWN)))
-        nn.init.constant_(self.places[2].bias[:1], -4.0)  # hardly any cell has a rock
+        with th.no_grad():
+            found.bias[0] = -4.0  # hardly any cell has a rock
 
     def set_training_mode(self, mode: bool) -> None:
         """Go into training or out of it, by the name that SB3's networks have for it."""

@@ -10,7 +10,7 @@ mounted, is drawn from a seed.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +226,7 @@ def _relief(scene: Scene) -> Floats:
     return field.astype(np.float32)
 
 
-def _noisy(light: Floats, away: Floats, seed: list[int]) -> Sight:
+def _noisy(light: NDArray[Any], away: NDArray[Any], seed: list[int]) -> Sight:
     """Return what the sensors make of light (h, w, 3) and depth (h, w) [m]."""
     rng = np.random.default_rng([*seed, 72])
     colour = 255 * light.clip(0.0, 1.0) ** np.float32(1 / GAMMA)
