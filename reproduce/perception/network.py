@@ -102,10 +102,9 @@ class Embedding(nn.Module):
         self.lstm = nn.LSTM(inputs, hidden_units)
         last = nn.Linear(FEATURES, sum(PARTS.values()))
         self.head = nn.Sequential(nn.Linear(inputs + hidden_units, FEATURES), nn.ReLU(), last)
+        nn.init.constant_(found.get_parameter("bias")[:1], -4.0)  # hardly any cell has a rock
         self.register_buffer("middle", th.zeros(len(OWN)))
         self.register_buffer("scale", th.ones(len(OWN)))
-        with th.no_grad():
-            found.bias[0] = -4.0  # hardly any cell has a rock
 
     def set_training_mode(self, mode: bool) -> None:
         """Go into training or out of it, by the name that SB3's networks have for it."""
