@@ -309,6 +309,7 @@ def train(
         done = load_checkpoint(out, {LEVEL: training}, settings) if resume else Progress(0, 0, 0.0)
         if not resume:
             data.remove()
+            save_checkpoint(out, {LEVEL: training}, done, settings)  # pictures that are taken now are kept, too
         for epoch, terms in _epochs(training, data, done.update):
             seconds = done.seconds + time.process_time() - begun
             training.curve.append({"epoch": epoch + 1, "seconds": round(seconds, 1), **terms})
