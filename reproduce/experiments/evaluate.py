@@ -26,6 +26,7 @@ from reproduce.storage.processes import start_fork_server
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
+_USUAL = {"simulator": DEFAULT, "observation": "state"}  # goes without saying in a summary
 
 
 def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method, Policy]:
@@ -171,9 +172,9 @@ def evaluate(
     """Test a policy on ``tests`` scenes and return the summary.
 
     ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The planner
-    tries its plans out in ``plans_of``, if that is given, and does them in ``simulator``. ``observation`` is
-    ``"state"``, or ``"image"`` for what the embedding makes of the head camera's pictures. The summary goes to ``json``
-    with the rows beside it (``rows.rows_path``); ``tell`` is called with it first, so that it is seen if writing fails.
+    tries its plans out in ``plans_of``, if given, and does them in ``simulator``; with ``observation="image"`` policies
+    act on what the embedding sees. The summary goes to ``json``, the rows beside it (``rows.rows_path``); ``tell`` is
+    called with it first, so that it is seen if writing fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
     for path in filter(None, (json, table)):
@@ -182,12 +183,10 @@ def evaluate(
     places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of, "observation": observation}
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, **places))
     seconds = time.monotonic() - begun
-    conditions = {"ablation": ablation, "scenes": "easy" if easy else None, "plans_of": plans_of}
-    conditions["simulator"] = None if simulator == DEFAULT else simulator
-    conditions["observation"] = None if observation == "state" else observation
+    conditions = {"ablation": ablation, "scenes": "easy" if easy else None, **places}
     summary = {
         "method": find_policy(where)[0].name,
-        **{name: condition for name, condition in conditions.items() if condition},
+        **{name: what for name, what in conditions.items() if what and what != _USUAL.get(name)},
         **summarise(rows),
         **{"seconds": round(seconds, 2), "seconds_per_test": round(seconds / tests, 4), "origin": provenance()},
     }

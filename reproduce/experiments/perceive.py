@@ -12,7 +12,7 @@ import pandas as pd
 from lunar_rescue import sample_scene
 from lunar_rescue.disturbances import NOTHING, Disturbance
 from lunar_rescue.disturbed import DisturbedEnv
-from lunar_rescue.scenes.splits import SPLITS, split_of
+from lunar_rescue.scenes.splits import HELD_OUT, SPLITS, split_of
 from reproduce.experiments.evaluate import find_policy, run_episode
 from reproduce.experiments.pool import map_scenes, scene_seeds
 from reproduce.experiments.rows import wilson
@@ -24,8 +24,8 @@ from reproduce.storage.provenance import provenance, write_table
 
 TRUE, NOISY, ESTIMATED = "true state", "true state with noise", "estimated state"
 STATES = (TRUE, NOISY, ESTIMATED)
+EVALUATION = ("first_pictures.csv", "along_rescues.csv", "evaluation.json")
 ALONG = 25  # scenes of an evaluation, for each thousand, that are acted out
-ACTORS = ("scripted", "planner", "random")  # act in the training's rescues unless told otherwise
 _STATE: dict[str, Any] = {}
 
 
@@ -95,11 +95,8 @@ def evaluate_embedding(
     """
     seeds = scene_seeds(tests, first_seed)
     load_embedding(folder)
-    name = "" if split_of(first_seed) in ("train", "validation", "test") else "heldout_"
-    first, along, summary = (
-        folder / f"{name}{n}" for n in ("first_pictures.csv", "along_rescues.csv", "evaluation.json")
-    )
-    for path in (first, along, summary):
+    paths = [folder / f"{_prefix(first_seed)}{name}" for name in EVALUATION]
+    for path in paths:
         check_writable(path)
     with locked(folder, "evaluation of the embedding"):
         begun = time.monotonic()
@@ -113,11 +110,16 @@ def evaluate_embedding(
             "along_rescues": measuring.summarise_rescues(frames),
             **{"seconds_a_first_picture": round(seconds / tests, 4), "speed": speed(folder), "origin": provenance()},
         }
-        for path, table in ((first, looked), (along, frames)):
+        for path, table in zip(paths, (looked, frames), strict=False):
             write_table(path, table.round(5))
-        write_json(summary, told)
+        write_json(paths[-1], told)
     _tell(told, tell)
     return told
+
+
+def _prefix(first_seed: int) -> str:
+    """Return what names of files begin with: nothing, or what says that the scenes are held out."""
+    return "heldout_" if split_of(first_seed) in HELD_OUT else ""
 
 
 def speed(folder: Path = FOLDER, pictures: int = 100) -> dict[str, float]:
@@ -163,8 +165,7 @@ def compare_states(
     seeds, method = scene_seeds(tests, first_seed), find_policy(where)[0].name
     load_embedding(folder)
     noise = measuring.noise(_evaluation(folder))
-    heldout = "" if split_of(first_seed) in ("train", "validation", "test") else "heldout_"
-    table, summary = (folder / f"{heldout}rescues_{method}.{ending}" for ending in ("csv", "json"))
+    table, summary = (folder / f"{_prefix(first_seed)}rescues_{method}.{ending}" for ending in ("csv", "json"))
     for path in filter(None, (table, summary, json)):
         check_writable(path)
     arguments = (str(folder), str(where), noise)

@@ -35,11 +35,11 @@ class Frames:
     start: NDArray[np.bool_]  # whether an episode begins here (n,)
 
     def __len__(self) -> int:
-        """Return the number of pictures."""
+        """Return how many pictures there are."""
         return len(self.start)
 
     def rows(self, index: NDArray[np.int64]) -> "Frames":
-        """Return some of the pictures."""
+        """Return the pictures of these numbers, in their order."""
         return Frames(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def save(self, path: Path) -> None:
@@ -49,7 +49,7 @@ class Frames:
 
     @classmethod
     def load(cls, path: Path) -> "Frames":
-        """Read what ``save`` wrote."""
+        """Read the file that ``save`` wrote."""
         return cls(**load_file(path))
 
 

@@ -116,7 +116,7 @@ class Head:
     """
 
     def __init__(self) -> None:
-        """Prepare an empty stage."""
+        """Prepare a stage on which nothing stands yet."""
         self._set, self._scenes = StageSet(Stage(), coarse=True), 0
         self.parts = np.zeros((HEIGHT, WIDTH), np.int64)
 
