@@ -172,15 +172,14 @@ def evaluate(
     """Test a policy on ``tests`` scenes and return the summary.
 
     ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The planner
-    tries its plans out in ``plans_of``, if given, and does them in ``simulator``; with ``observation="image"`` policies
-    act on what the embedding sees. The summary goes to ``json``, the rows beside it (``rows.rows_path``); ``tell`` is
-    called with it first, so that it is seen if writing fails.
+    tries its plans out in ``plans_of``, if given; with ``observation="image"`` policies act on what the embedding sees.
+    The summary goes to ``json``, the rows beside it (``rows.rows_path``); ``tell`` is called first, in case that fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
     for path in filter(None, (json, table)):
         check_writable(path)
-    begun = time.monotonic()
     places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of, "observation": observation}
+    begun = time.monotonic()
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, **places))
     seconds = time.monotonic() - begun
     conditions = {"ablation": ablation, "scenes": "easy" if easy else None, **places}
