@@ -64,6 +64,7 @@ def evaluate(
     easy: Annotated[bool, typer.Option("--easy", help="easy scenes, as in train")] = False,
     simulator: console.Simulator = "pybullet",
     plans_of: Annotated[str | None, typer.Option(help="planner: simulator in which plans are tried out")] = None,
+    observation: console.Observation = "state",
     json: console.JsonFile = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="also both arms under, by task and by posture")] = False,
 ) -> None:
@@ -71,6 +72,8 @@ def evaluate(
     from reproduce.experiments.methods import check_actor
 
     check_actor(run)
+    if observation not in (known := ("state", "image")):
+        raise UserError(f"--observation: expected {' or '.join(known)}, got {observation!r}")
     from reproduce.experiments.pool import first_scene
     from reproduce.hrl_dcs.config import check_ablation
 
@@ -80,7 +83,7 @@ def evaluate(
     from reproduce.experiments.evaluate import evaluate as test
 
     tell = partial(_print_evaluation, verbose=verbose)
-    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of}
+    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of, "observation": observation}
     test(run, tests, seed, ablation=ablation, easy=easy, json=json, tell=tell, **places)
 
 

@@ -101,6 +101,13 @@ Task = Annotated[
     str | None, typer.Option(help="draw scenes with this task", autocompletion=lambda: ["lift", "turn_over"])
 ]
 Simulator = Annotated[str, typer.Option(help="pybullet or mujoco", autocompletion=lambda: ["pybullet", "mujoco"])]
+Observation = Annotated[
+    str, typer.Option(help="state, or image: act on what the embedding sees", autocompletion=lambda: ["state", "image"])
+]
+Weights = Annotated[
+    Path | None,
+    typer.Option(parser=as_path, metavar="DIR", help="folder of the embedding; results/perception without it"),
+]
 Replays = Annotated[bool, typer.Option(help="with 3D replays in it")]
 JsonFile = Annotated[Path | None, typer.Option("--json", parser=as_file, metavar="FILE", help="also write a file")]
 

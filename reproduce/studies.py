@@ -14,6 +14,9 @@ app = typer.Typer(
     help="Reproduce dual-arm rescue by hierarchical reinforcement learning (Ren, Han, Wang 2022).",
 )
 
+perceive = typer.Typer(cls=console.Commands, rich_markup_mode=None, help="The embedding from pictures to states (P10).")
+app.add_typer(perceive, name="perceive")
+
 
 @app.callback()
 def options(version: console.Version = False) -> None:
@@ -126,6 +129,72 @@ def stress(
     from reproduce.experiments.stress import stress as measure
 
     measure(run, tests, first_scene(split, first_seed, typer.echo), folder=out or FOLDER, json=json, tell=typer.echo)
+
+
+@perceive.command("train")
+def perceive_train(
+    actors: Annotated[
+        list[str] | None, typer.Argument(help="who acts: run folders, methods that do not learn; all those without it")
+    ] = None,
+    out: Annotated[Path | None, console.folder("folder to write; results/perception without it")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="seed of weights, minibatches and scenes")] = 0,
+    scenes: Annotated[int | None, typer.Option(min=1, help="scenes whose first picture is looked at")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="go on from the folder's checkpoint")] = False,
+) -> None:
+    """Train the embedding on pictures of training scenes: first ones, and those of rescues."""
+    from reproduce.experiments.methods import METHODS, check_actor
+
+    actors = actors or [method.name for method in METHODS.values() if not method.learns]
+    for actor in actors:
+        check_actor(actor)
+    from reproduce.experiments.perceive import train_embedding
+    from reproduce.perception.estimator import FOLDER
+    from reproduce.perception.training import EmbeddingConfig
+
+    config = EmbeddingConfig(seed=seed) if scenes is None else EmbeddingConfig.looking_at(scenes, seed)
+    train_embedding(actors, out or FOLDER, config, resume=resume, tell=typer.echo)
+    typer.echo(f"{out or FOLDER}: trained the embedding")
+
+
+@perceive.command("evaluate")
+def perceive_evaluate(
+    weights: console.Weights = None,
+    actor: Annotated[str, typer.Option(help="who acts on estimates: a run folder, or scripted, random")] = "scripted",
+    tests: console.Tests = 1000,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+) -> None:
+    """Test the embedding on first pictures and along rescues; writes evaluation.json into its folder."""
+    from reproduce.experiments.methods import check_actor
+
+    check_actor(actor)
+    from reproduce.experiments.pool import first_scene
+
+    seed = first_scene(split, first_seed, typer.echo)
+    from reproduce.experiments.perceive import FOLDER, evaluate_embedding
+
+    evaluate_embedding(tests, seed, folder=weights or FOLDER, where=actor, tell=typer.echo)
+
+
+@perceive.command("compare")
+def perceive_compare(
+    run: console.Policy,
+    weights: console.Weights = None,
+    tests: console.Tests = 1000,
+    split: console.Split = None,
+    first_seed: console.FirstSeed = None,
+    json: console.JsonFile = None,
+) -> None:
+    """Test a policy on true states, on those with noise of the embedding's size, and on its estimates."""
+    from reproduce.experiments.methods import check_actor
+
+    check_actor(run)
+    from reproduce.experiments.pool import first_scene
+
+    seed = first_scene(split, first_seed, typer.echo)
+    from reproduce.experiments.perceive import FOLDER, compare_states
+
+    compare_states(run, tests, seed, folder=weights or FOLDER, json=json, tell=typer.echo)
 
 
 @app.command()

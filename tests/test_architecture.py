@@ -29,7 +29,7 @@ ORDER = {
         ("storage",),
     ),
     "lunar_rescue": (
-        ("disturbed", "step_limit"),
+        ("disturbed", "seeing", "step_limit"),
         ("env",),
         ("pictures",),
         ("contacts", "disturbances", "episode", "observation", "rewards", "tasks"),
@@ -40,7 +40,7 @@ ORDER = {
 }
 LONGEST_FILE, LONGEST_FUNCTION = 300, 40  # lines
 SHORT_DOCSTRING, SHORT_DOCSTRINGS = 5, 30  # words; fewer of them than
-MOST_LINES = 20_300  # without examples
+MOST_LINES = 22_000  # without examples
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -345,7 +345,7 @@ def _notebook(folder: Path, source: str, parameters: str = "steps = 3\nname = 'a
 
 def test_every_notebook_has_a_parameters_cell_and_no_outputs() -> None:
     notebooks = find_notebooks()
-    assert [n.path.stem[:2] for n in notebooks] == ["01", "02", "03", "04", "05", "06", "07", "09", "10"]
+    assert [n.path.stem[:2] for n in notebooks] == ["01", "02", "03", "04", "05", "06", "07", "08", "09", "10"]
     for notebook in notebooks:
         assert "preset" in notebook.defaults
         document = nbformat.read(notebook.path, as_version=4)

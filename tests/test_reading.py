@@ -22,7 +22,7 @@ from reproduce.storage.paths import NOTEBOOKS, ROOT
 
 CELL_LINES, CELL_WORDS, NOTEBOOK_WORDS = 6, 130, 750
 FIRST_PAGE_WORDS, README_WORDS = 450, 1_650
-TOUR = ("01", "02", "03", "04", "05", "06", "07", "09", "10")
+TOUR = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "10")
 PATHS = [path for path in sorted(NOTEBOOKS.glob("*.ipynb")) if path.name[:2] in TOUR]
 _FIGURE = re.compile(r"\b(figures|drawings)\.\w+\(")
 

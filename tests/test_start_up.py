@@ -38,6 +38,10 @@ AT_ONCE = [
     (["tune", "nothing"], 2),
     (["bench", "--part", "nothing"], 2),
     (["export", "nothing", "--out", "x"], 2),
+    (["evaluate", "scripted", "--observation", "smell"], 2),
+    (["perceive", "--help"], 0),
+    (["perceive", "train", "nothing", "--out", "x"], 2),
+    (["perceive", "compare", "nothing"], 2),
 ]
 #: These need scenes, and so the environment, but nothing that learns.
 WITH_SCENES = [

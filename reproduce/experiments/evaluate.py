@@ -26,6 +26,7 @@ from reproduce.storage.processes import start_fork_server
 from reproduce.storage.provenance import provenance
 
 _STATE: dict[str, Any] = {}
+_USUAL = {"simulator": DEFAULT, "observation": "state"}  # goes without saying in a summary
 
 
 def find_policy(where: str | Path, ablation: str | None = None) -> tuple[Method, Policy]:
@@ -83,14 +84,20 @@ def run_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: An
     }
 
 
-def put_into(simulator: str, policy: Policy, plans_of: str | None = None) -> LunarRescueEnv:
+def put_into(simulator: str, policy: Policy, plans_of: str | None = None, observation: str = "state") -> LunarRescueEnv:
     """Return an environment in a simulator; a policy that tries out what it plans does so there, or in ``plans_of``.
+
+    With ``observation="image"`` its observations are what the embedding of ``results/perception`` makes of pictures.
 
     Raises:
         UserError: On a simulator that is not there, or plans of a policy that makes none.
     """
     _plan_in(simulator, policy, plans_of)
-    return LunarRescueEnv(simulator=simulator)
+    if observation == "state":
+        return LunarRescueEnv(simulator=simulator)
+    from reproduce.perception.estimator import EstimatedEnv
+
+    return EstimatedEnv(simulator=simulator)
 
 
 def _plan_in(simulator: str, policy: Policy, plans_of: str | None) -> None:
@@ -103,10 +110,10 @@ def _plan_in(simulator: str, policy: Policy, plans_of: str | None) -> None:
         raise UserError("--plans-of: only the planner makes plans; leave it out")
 
 
-def _prepare(where: str, ablation: str | None, simulator: str, plans_of: str | None) -> None:
+def _prepare(where: str, ablation: str | None, simulator: str, plans_of: str | None, observation: str) -> None:
     method, _STATE["policy"] = find_policy(where, ablation)
-    _STATE["env"] = put_into(simulator, _STATE["policy"], plans_of)
-    if method.learns:
+    _STATE["env"] = put_into(simulator, _STATE["policy"], plans_of, observation)
+    if method.learns or observation == "image":
         import torch as th
 
         th.set_num_threads(1)
@@ -128,6 +135,7 @@ def rescue_scenes(
     easy: bool = False,
     simulator: str = DEFAULT,
     plans_of: str | None = None,
+    observation: str = "state",
 ) -> list[dict[str, Any]]:
     """Test a policy and return one row a scene, in the order of seeds.
 
@@ -140,7 +148,11 @@ def rescue_scenes(
     start_fork_server(__name__, *learned)  # it imports for the workers while this process does for itself
     # A bad run folder, or a simulator that is not there, fails here, in one line, and not in a worker.
     _plan_in(simulator, find_policy(where, ablation)[1], plans_of)
-    job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator, plans_of)
+    if observation == "image":
+        from reproduce.perception.estimator import load_embedding
+
+        load_embedding()
+    job, arguments = partial(_test, easy=easy), (str(where), ablation, simulator, plans_of, observation)
     return map_scenes(job, seeds, _prepare, arguments, title=Path(where).name, workers=workers, quiet=quiet)
 
 
@@ -155,25 +167,25 @@ def evaluate(
     tell: Callable[[dict[str, Any]], object] | None = None,
     simulator: str = DEFAULT,
     plans_of: str | None = None,
+    observation: str = "state",
 ) -> dict[str, Any]:
     """Test a policy on ``tests`` scenes and return the summary.
 
     ``where`` is a run folder or a method that does not learn; for ``ablation`` see ``hrl_dcs.ablation``. The planner
-    tries its plans out in ``plans_of``, if that is given, and does them in ``simulator``. The summary goes to ``json``
-    with the rows beside it (``rows.rows_path``); ``tell`` is called with it first, so that it is seen if writing fails.
+    tries its plans out in ``plans_of``, if given; with ``observation="image"`` policies act on what the embedding sees.
+    The summary goes to ``json``, the rows beside it (``rows.rows_path``); ``tell`` is called first, in case that fails.
     """
     table = rows_path(json) if json else None  # None, too, where the summary goes to a device or a pipe
     for path in filter(None, (json, table)):
         check_writable(path)
+    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of, "observation": observation}
     begun = time.monotonic()
-    places: dict[str, Any] = {"simulator": simulator, "plans_of": plans_of}
     rows = as_table(rescue_scenes(where, tests, first_seed, quiet=quiet, ablation=ablation, easy=easy, **places))
     seconds = time.monotonic() - begun
-    conditions = {"ablation": ablation, "scenes": "easy" if easy else None, "plans_of": plans_of}
-    conditions["simulator"] = None if simulator == DEFAULT else simulator
+    conditions = {"ablation": ablation, "scenes": "easy" if easy else None, **places}
     summary = {
         "method": find_policy(where)[0].name,
-        **{name: condition for name, condition in conditions.items() if condition},
+        **{name: what for name, what in conditions.items() if what and what != _USUAL.get(name)},
         **summarise(rows),
         **{"seconds": round(seconds, 2), "seconds_per_test": round(seconds / tests, 4), "origin": provenance()},
     }

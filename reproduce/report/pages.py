@@ -22,7 +22,7 @@ from lunar_rescue.rewards import TERMS
 from lunar_rescue.scenes import rocks, scene, terrain
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.splits import HELD_OUT, SPLITS
-from reproduce.analysis import reality_gap
+from reproduce.analysis import perceived, reality_gap
 from reproduce.analysis.claims import compute_claims
 from reproduce.analysis.rule_tables import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
@@ -67,6 +67,7 @@ def _readme() -> dict[str, Any]:
         "trained": trained,
         "slowest_tests": f"{max(tests) / 60:.1f} a policy at most" if tests else "not timed",
         "seconds": seconds.to_dict(),
+        "embedding": _result("perception/run.json"),
         "notebooks": {path.name[:2]: path.stem for path in notebook_files()},
         "tables": TABLES,
         "report": REPORT,
@@ -130,6 +131,17 @@ def _reality_gap() -> dict[str, Any]:
     }
 
 
+def _perception() -> dict[str, Any]:
+    """Return what was measured of the embedding, and of policies that act on its estimates."""
+    return {
+        "goals": perceived.goals(),
+        "occlusion": perceived.occlusion(),
+        "states": perceived.states(),
+        "training": _result("perception/run.json"),
+        "evaluation": _result("perception/evaluation.json"),
+    }
+
+
 #: Page and what computes the data of its template.
 PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "README.md": _readme,
@@ -137,6 +149,7 @@ PAGES: dict[str, Callable[[], dict[str, Any]]] = {
     "docs/simulators.md": _agreement,
     "docs/statistics.md": _statistics,
     "docs/reality_gap.md": _reality_gap,
+    "docs/perception.md": _perception,
     "docs/api.md": lambda: {"parts": reference()},
     "docs/training.md": lambda: {"bench": _result("bench_training.json"), "batches": BATCHES},
 }

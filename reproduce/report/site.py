@@ -34,7 +34,7 @@ from reproduce.storage.provenance import provenance
 CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
 DOCUMENTS = (
     *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "statistics"),
-    *("architecture", "extending", "cluster", "simulators", "reality_gap", "report"),
+    *("architecture", "extending", "cluster", "simulators", "reality_gap", "perception", "report"),
 )
 PICTURES = tuple(ROOT / "docs" / name for name in ("rescue.png", "rescue.gif"))  # that pages name
 CHART, MOVING = "results.png", "rescue.gif"

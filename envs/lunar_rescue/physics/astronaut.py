@@ -43,7 +43,7 @@ class Astronaut:
         ``offset`` (3,) [m], front, left and head, is where its centre of gravity is beside the one that it should have;
         states and targets are those of the suit, wherever its centre of gravity is.
         """
-        fixed = _fixed(scene.model, scene.side, scene.task)
+        fixed = body_geometry(scene.model, scene.side, scene.task)
         c, s = math.cos(scene.astronaut_yaw), math.sin(scene.astronaut_yaw)
         heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         centre = np.array([scene.astronaut_x, scene.astronaut_y, scene.model.rest.height])
@@ -78,7 +78,7 @@ class Astronaut:
         return np.asarray(self._fixed.keypoints @ state.rotation.T + state.centre)
 
 
-class _Fixed(NamedTuple):
+class BodyGeometry(NamedTuple):
     """What is the same in each scene of a posture, a side and a task."""
 
     rotation: Array  # body frame at rest, head along +x (3, 3)
@@ -90,12 +90,13 @@ class _Fixed(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def _fixed(posture: Posture, side: int, task: str) -> _Fixed:
+def body_geometry(posture: Posture, side: int, task: str) -> BodyGeometry:
+    """Return what follows from posture, side of the robot (+1 or -1) and task, wherever the body lies."""
     properties, rest, areas = mass_properties(posture.limbs), posture.rest_rotation(), target_areas(posture, side, task)
     axes = Rotation.from_quat(properties.axes)
     targets, skeleton = rest.inv().apply(areas.offsets), keypoints(posture.limbs) - properties.centre
     quaternion, to_body = (rest * axes).as_quat(), axes.inv().as_matrix()
-    return _Fixed(rest.as_matrix(), quaternion, to_body, targets, skeleton, areas.way_in)
+    return BodyGeometry(rest.as_matrix(), quaternion, to_body, targets, skeleton, areas.way_in)
 
 
 def _turned(half: float, q: Array) -> Array:

@@ -1,6 +1,7 @@
 """Shapes that are only seen: the suit with visor and gloves, rocks and ground."""
 
 from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ BASALT = (0.30, 0.28, 0.26)
 SUIT_COLOURS: dict[str, Colour] = {"backpack": HARD, "unit": HARD, "boot": DARK}
 HALF, FAR = 2.5, 45.0  # m, half sides of the work area and of what is seen of the ground
 ROUNDNESS = 0.25  # exponent of the rounded boxes: 0 is a box, 1 an ellipsoid
+FINE, COARSE = (25, 14), (9, 8)  # corners around and along a rounded shape: for people, and for small pictures
 
 
 class Mesh(NamedTuple):
@@ -36,9 +38,16 @@ def lattice(rows: int, columns: int) -> NDArray[np.int64]:
     return np.concatenate([np.stack([i, i + 1, i + columns + 1], -1), np.stack([i, i + columns + 1, i + columns], -1)])
 
 
-def rounded(half: tuple[float, ...], exponent: float = 1.0, stretch: float = 0.0, by: tuple[float, ...] = (0,)) -> Mesh:
+def rounded(
+    half: tuple[float, ...],
+    exponent: float = 1.0,
+    stretch: float = 0.0,
+    by: tuple[float, ...] = (0,),
+    detail: tuple[int, int] = FINE,
+) -> Mesh:
     """Return a superellipsoid of these half extents [m], stretched along z (a capsule) and moved [m]."""
-    around, up = np.meshgrid(np.linspace(-np.pi, np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 14))
+    turns, heights = detail
+    around, up = np.meshgrid(np.linspace(-np.pi, np.pi, turns), np.linspace(-np.pi / 2, np.pi / 2, heights))
 
     def surface(power: float) -> Array:
         def of(wave: Array) -> Array:
@@ -90,12 +99,13 @@ def ground(height: Callable[[Array, Array], Array], up: Array, centre: Array) ->
     return Mesh(points.reshape(-1, 3), normals.reshape(-1, 3), lattice(len(line), len(line)))
 
 
-def suit_shapes(limbs: Limbs) -> dict[Colour, Mesh]:
+@lru_cache(maxsize=64)
+def suit_shapes(limbs: Limbs, detail: tuple[int, int] = FINE) -> dict[Colour, Mesh]:
     """Return the suit in the body frame, a mesh for each colour; its outlines are those of the colliding parts."""
     shapes: dict[Colour, list[Mesh]] = {}
     for part in suit_parts(limbs):
         turn = Rotation.from_quat(part.quaternion)
-        for mesh, colour in _pieces(part):
+        for mesh, colour in _pieces(part, detail):
             placed = Mesh(turn.apply(mesh.vertices) + part.position, turn.apply(mesh.normals), mesh.faces)
             shapes.setdefault(colour, []).append(placed)
     return {colour: _joined(meshes) for colour, meshes in shapes.items()}
@@ -108,17 +118,17 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(moved))
 
 
-def _pieces(part: Part) -> list[tuple[Mesh, Colour]]:
+def _pieces(part: Part, detail: tuple[int, int]) -> list[tuple[Mesh, Colour]]:
     """Return a part and its visor, glove or coloured band, which sits a hair's breadth outside of it."""
-    own = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH)
+    own, shape = SUIT_COLOURS.get(part.name.rsplit("_", 1)[-1], CLOTH), partial(rounded, detail=detail)
     if part.kind == "box":
-        return [(rounded(part.size, ROUNDNESS), own)]
+        return [(shape(part.size, ROUNDNESS), own)]
     radius, length = part.size if part.kind == "capsule" else (*part.size, 0.0)
-    pieces = [(rounded((radius,) * 3, stretch=length), own)]
+    pieces = [(shape((radius,) * 3, stretch=length), own)]
     if part.name == "helmet":
-        pieces.append((rounded((0.75 * radius, 0.8 * radius, 0.66 * radius), by=(0.36 * radius, 0.0, 0.0)), VISOR))
+        pieces.append((shape((0.75 * radius, 0.8 * radius, 0.66 * radius), by=(0.36 * radius, 0.0, 0.0)), VISOR))
     elif part.name.endswith("forearm"):
-        pieces.append((rounded((1.06 * radius,) * 3, stretch=0.06, by=(0.0, 0.0, length / 2 - 0.01)), DARK))
+        pieces.append((shape((1.06 * radius,) * 3, stretch=0.06, by=(0.0, 0.0, length / 2 - 0.01)), DARK))
     elif part.name.endswith(("upper_arm", "thigh")):
-        pieces.append((rounded((1.05 * radius, 1.05 * radius, 0.008), stretch=0.05), TRIM))
+        pieces.append((shape((1.05 * radius, 1.05 * radius, 0.008), stretch=0.05), TRIM))
     return pieces

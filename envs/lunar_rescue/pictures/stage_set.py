@@ -30,14 +30,19 @@ def base_frame(episode: Episode) -> tuple[Array, Array]:
 class StageSet:
     """The bodies of a scene on a stage, moved as the episode goes."""
 
-    def __init__(self, stage: Stage) -> None:
-        """Prepare the robot's file for a stage on which nothing stands yet."""
+    def __init__(self, stage: Stage, coarse: bool = False) -> None:
+        """Prepare the robot's file for a stage on which nothing stands yet.
+
+        For small pictures, ``coarse`` leaves out the robot's details and draws the suit with fewer triangles.
+        """
         self.stage = stage
+        self._detail = shapes.COARSE if coarse else shapes.FINE
         self._scene: Scene | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="lunar_rescue_")
         self._robot_file = Path(self._folder.name) / "robot.urdf"
         robot = ElementTree.parse(ROBOT_FILE)
-        robot.getroot().extend(ElementTree.parse(DETAILS_FILE).getroot())
+        if not coarse:
+            robot.getroot().extend(ElementTree.parse(DETAILS_FILE).getroot())
         robot.write(self._robot_file)
 
     def close(self) -> None:
@@ -54,24 +59,24 @@ class StageSet:
             origin, axes = base_frame(episode)
             self.stage.place(self.robot, origin, Rotation.from_matrix(axes).as_quat())
         self.stage.turn_joints(self.robot, self._joints, episode.robot.angles)
-        self.stage.place(self._suit, *suit_pose(episode))
+        self.stage.place(self.suit, *suit_pose(episode))
         return new
 
     def _build(self, scene: Scene, colour: shapes.Colour | None) -> None:
         self.stage.clear()
         self.robot, joints, links = self.stage.add_robot(self._robot_file)
         self._joints = [joints[name] for name in JOINT_NAMES]
-        suit = shapes.suit_shapes(scene.model.limbs)
-        self._suit = self._add(suit, colour)
-        stones = [self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks]
-        self.colours = np.ones((max([self.robot, self._suit, *stones]) + 1, len(joints) + 1, 3), np.float32)
+        suit = shapes.suit_shapes(scene.model.limbs, self._detail)
+        self.suit = self._add(suit, colour)
+        self.stones = [self._add({shapes.BASALT: shapes.hull(rock.vertices())}, colour) for rock in scene.rocks]
+        self.colours = np.ones((max([self.robot, self.suit, *self.stones]) + 1, len(joints) + 1, 3), np.float32)
         for link, own in links.items():
             self.colours[self.robot, link + 1] = own
             self.stage.paint(self.robot, link, colour or own)
-        self.colours[self._suit, : len(suit)] = list(suit)
-        self.colours[stones] = shapes.BASALT
+        self.colours[self.suit, : len(suit)] = list(suit)
+        self.colours[self.stones] = shapes.BASALT
         self.colours **= GAMMA
-        self.rocky = np.isin(np.arange(len(self.colours)), stones)
+        self.rocky = np.isin(np.arange(len(self.colours)), self.stones)
 
     def _add(self, meshes: dict[shapes.Colour, shapes.Mesh], colour: shapes.Colour | None) -> int:
         return self.stage.add_mesh(*((*mesh, colour or own) for own, mesh in meshes.items()))
