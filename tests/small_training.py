@@ -8,12 +8,15 @@ from pathlib import Path
 from reproduce.__main__ import main
 from reproduce.experiments.presets import PRESETS
 
+SEED = 7
+#: What makes ten short updates of the smoke preset.
+SMALL = {"steps": 10 * 2 * 64, "n_envs": 2, "checkpoint_every": 2, "low.batch_size": 64, "low.n_epochs": 2}
+
 
 def train(folder: str, *options: str) -> None:
     """Call the command as a user would, with a smaller preset."""
-    smoke = PRESETS["smoke"]
-    smoke |= {"steps": 10 * 4 * 64, "n_envs": 4, "checkpoint_every": 2, "low.batch_size": 128, "low.n_epochs": 2}
-    sys.argv = ["reproduce", "train", "hrl_dcs", "--preset", "smoke", "--seed", "7", "--out", folder, *options]
+    PRESETS["smoke"] |= SMALL
+    sys.argv = ["reproduce", "train", "hrl_dcs", "--preset", "smoke", "--seed", str(SEED), "--out", folder, *options]
     main()
 
 

@@ -10,16 +10,26 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from command_line import without_progress  # type: ignore[import-not-found]
+from command_line import call, without_progress  # type: ignore[import-not-found]
 from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from small_training import SEED, SMALL  # type: ignore[import-not-found]
 
+from reproduce.experiments import train as training
+from reproduce.experiments.methods import METHODS
+from reproduce.experiments.presets import PRESETS
+from reproduce.storage.checkpoint import save_checkpoint
 from reproduce.storage.paths import CHECKPOINT
 
 SCRIPT = Path(__file__).parent / "small_training.py"
 KILLS = 20
+
+
+class Stop(Exception):
+    """Raised in place of a kill."""
 
 
 def _start(folder: Path) -> subprocess.Popen[str]:
@@ -102,20 +112,26 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(
 
 
 @pytest.mark.process
-def test_a_second_training_in_one_folder_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_second_training_in_one_folder_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = _start(tmp_path / "run")
     assert wait_for((tmp_path / "run" / "config.json").is_file)
     first.send_signal(signal.SIGSTOP)  # else it may have ended before the second one begins
     before = (tmp_path / "run" / "config.json").stat().st_mtime_ns
-    command = f"{sys.executable} -m reproduce train ppo_lstm --preset smoke --out {tmp_path / 'run'}".split()
-    second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert second.returncode == 2 and "run: run folder is in use by another process" in second.stderr
-    assert len(second.stderr.splitlines()) == 1
+    second = call("train", "ppo_lstm", "--preset", "smoke", "--out", str(tmp_path / "run"))
+    assert second.code == 2 and "run: run folder is in use by another process" in second.err
+    assert len(second.err.splitlines()) == 1
     assert (tmp_path / "run" / "config.json").stat().st_mtime_ns == before
     first.kill()
     first.communicate()
     assert nobody_left(first.pid)
-    third = _start(tmp_path / "run")  # the lock went with the process that held it
-    assert wait_for((tmp_path / "run" / CHECKPOINT).is_file)
-    third.kill()
-    third.communicate()
+
+    def save_and_stop(*args: Any) -> None:
+        save_checkpoint(*args)
+        raise Stop
+
+    monkeypatch.setattr(training, "save_checkpoint", save_and_stop)
+    monkeypatch.setitem(PRESETS, "smoke", PRESETS["smoke"] | SMALL)
+    method = METHODS["hrl_dcs"]
+    with pytest.raises(Stop):  # the lock went with the process that held it
+        training.train(method, method.config("smoke"), SEED, tmp_path / "run", "smoke", resume=True, quiet=True)
+    assert (tmp_path / "run" / CHECKPOINT).is_file()

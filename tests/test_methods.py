@@ -40,14 +40,16 @@ class Stop(Exception):
 
 #: What makes a training of a second of the smoke preset, by part of the configuration.
 SMALL: dict[str, dict[str, Any]] = {
-    "sac": {"learning_starts": 256, "batch_size": 16, "hidden_units": 16, "buffer_size": 600},
+    "sac": {"learning_starts": 128, "batch_size": 16, "hidden_units": 16, "buffer_size": 300},
+    "off_policy": {"batch_size": 16, "hidden_units": 16, "buffer_size": 300},
     "fun": {"goal_size": 16, "embedding_size": 4, "horizon": 5},
-    "low": {"n_epochs": 1},
+    "low": {"n_epochs": 1, "batch_size": 128},
 }
 
 
-def _small(name: str) -> Any:
-    config = replace(METHODS[name].config("smoke"), steps=768, n_envs=4, checkpoint_every=2)
+def _small(name: str, n_envs: int = 2) -> Any:
+    """Three updates of 64 steps of each environment, a checkpoint after the second; buffers hold less than that."""
+    config = replace(METHODS[name].config("smoke"), steps=192 * n_envs, n_envs=n_envs, checkpoint_every=2)
     parts = {part: changes for part, changes in SMALL.items() if hasattr(config, part)}
     return changed(config, {f"{part}.{key}": value for part, own in parts.items() for key, value in own.items()})
 
@@ -59,7 +61,7 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
 ) -> None:
     config, method, parts = _small(name), METHODS[name], tmp_path / "parts"
     curve = train(method, config, 3, tmp_path / "whole", "smoke", quiet=True)
-    assert curve["env_steps"].iloc[-1] == 768 and np.isfinite(curve["seconds"]).all()
+    assert curve["env_steps"].iloc[-1] == 384 and np.isfinite(curve["seconds"]).all()
     save = training.save_checkpoint
 
     def save_and_stop(*args: object) -> None:
@@ -94,10 +96,10 @@ def test_an_interrupted_training_ends_in_the_same_weights_and_acts(
 
 @pytest.mark.process
 def test_sac_learns_while_its_environments_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = _small("sac")
+    config = changed(_small("sac", n_envs=4), {"sac.learning_starts": 256, "sac.buffer_size": 2048})
     held: list[tuple[int, int]] = []
     sent: list[int] = []
-    with closing(SacTraining(replace(config, sac=replace(config.sac, buffer_size=2048)), 3)) as sac:
+    with closing(SacTraining(config, 3)) as sac:
         buffer = sac.learner.replay_buffer
         assert buffer is not None
         learn, send = sac.learner.train, sac.venv.step_async

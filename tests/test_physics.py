@@ -10,22 +10,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import lunar_rescue
 from lunar_rescue import LunarRescueEnv, Scene, sample_scene
+from lunar_rescue.physics.astronaut import Astronaut
 from lunar_rescue.physics.engines import SIMULATORS, make_simulation
 from lunar_rescue.physics.kinematics import END, SHOULDER, ArmChain
 from lunar_rescue.physics.robot import ARMS, WAIST
-from lunar_rescue.physics.simulation import LUNAR_GRAVITY, RigidBody, Simulation
+from lunar_rescue.physics.simulation import LUNAR_GRAVITY, RigidBody, Simulation, Vector
 from lunar_rescue.physics.solver import CONTROL_STEP, SolverSettings
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.scene import FRICTION_RANGE, MASS_RANGE
 from lunar_rescue.scenes.suit import surface_points
 from lunar_rescue.scenes.targets import approach_sides
-from lunar_rescue.scenes.terrain import HELDOUT_RELIEFS, MAX_SLOPE, RELIEFS, SMOOTH, Terrain
+from lunar_rescue.scenes.terrain import HELDOUT_RELIEFS, MAX_SLOPE, RELIEFS, SMOOTH, Terrain, mounds
 from reproduce.baselines.scripted import ScriptedPolicy
 
 PACKAGE = Path(lunar_rescue.__file__).parent
+#: Of the first forty scenes those that the scripted method lifts in either simulator; the others it tries in vain, for
+#: the longest episodes, at whose ends there is nothing to look at.
+LIFTED = sorted(set(range(40)) - {1, 2, 3, 4, 8, 9, 13, 17, 22, 25, 30, 31, 36, 39})
 
 
 @pytest.fixture(scope="module", params=list(SIMULATORS))
@@ -113,16 +118,21 @@ def test_every_posture_rests_where_it_is_put(env: LunarRescueEnv, name: str, fri
 
 
 @pytest.mark.process
-def test_no_mound_reaches_under_a_resting_body(env: LunarRescueEnv) -> None:
+def test_no_mound_reaches_under_a_resting_body(simulation: Simulation) -> None:
+    """Body and mounds are put where an episode puts them; the robot stands elsewhere and is left out."""
     for name in all_postures():
         drawn = replace(sample_scene(1, posture=name), rocks=())
         for relief in (*RELIEFS, *HELDOUT_RELIEFS):
-            env.reset_flat(options={"scene": replace(drawn, terrain=replace(_ground(drawn, 0.0, 0.0), relief=relief))})
-            assert env.simulation.relief is not None
-            assert env.simulation.penetration(env.episode.astronaut.handle, env.simulation.relief) <= 0.0, (
-                name,
-                relief,
-            )
+            scene = replace(drawn, terrain=replace(_ground(drawn, 0.0, 0.0), relief=relief))
+            simulation.clear([])
+            simulation.set_up_vector(scene.terrain.up())
+            astronaut, field = Astronaut(simulation, scene), simulation.add_relief(scene.terrain)
+            assert simulation.penetration(astronaut.handle, field) <= 0.0, (name, relief)
+        ground = scene.terrain
+        first, turn = mounds(ground.relief, ground.patch)[0], Rotation.from_euler("z", ground.yaw)
+        on_it = turn.apply([first.x, first.y, 0.0]) + [ground.x, ground.y, 0.0]
+        simulation.place(astronaut.handle, on_it, np.array([0.0, 0.0, 0.0, 1.0]))
+        assert simulation.penetration(astronaut.handle, field) > 0.0, "nothing would be measured"
 
 
 def test_relief_is_as_high_as_the_data_say(env: LunarRescueEnv) -> None:
@@ -143,15 +153,15 @@ def test_relief_is_as_high_as_the_data_say(env: LunarRescueEnv) -> None:
 @pytest.mark.process
 def test_no_joint_exceeds_torque_or_speed_in_10000_random_steps(env: LunarRescueEnv) -> None:
     rng = np.random.default_rng(0)
-    worst_torque, worst_speed, done = 0.0, 0.0, True
+    torques, speeds, done = np.empty((10_000, 11)), np.empty((10_000, 11)), True
     for step in range(10_000):
         if done:
             env.reset_flat(seed=step)
         *_, terminated, truncated, _ = env.step_flat(rng.uniform(-1, 1, 11))
         done = terminated or truncated
-        state = env.episode.robot
-        worst_torque = max(worst_torque, float(np.max(np.abs(state.torques) / env.robot.torque_limits)))
-        worst_speed = max(worst_speed, float(np.max(np.abs(state.speeds) / env.robot.speed_limits)))
+        torques[step], speeds[step] = env.episode.robot.torques, env.episode.robot.speeds
+    worst_torque = float(np.max(np.abs(torques) / env.robot.torque_limits))
+    worst_speed = float(np.max(np.abs(speeds) / env.robot.speed_limits))
     assert worst_torque <= 1.0 + 1e-6
     assert worst_speed <= 1.0 + 1e-6
     assert worst_torque > 0.5 and worst_speed > 0.5  # the test sees the limits at work
@@ -175,15 +185,17 @@ def test_own_kinematics_agree_with_the_simulator(env: LunarRescueEnv) -> None:
 def test_a_lift_success_is_carried_by_both_arms_off_the_ground(
     env: LunarRescueEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found, touched, advance = 0, set[int](), env.simulation.advance
+    found, touched, read = 0, set[int](), env.simulation.contact_forces
 
-    def advance_and_look(substeps: int) -> None:
-        advance(substeps)
-        rows = env.simulation.contact_forces(env.episode.astronaut.handle, env.robot.handle)
-        touched.update(link for _, link, _ in rows)
+    def read_and_note(first: int, second: int) -> list[tuple[int, int, Vector]]:
+        """What a step reads itself, after each substep."""
+        rows = read(first, second)
+        if (first, second) == (env.episode.astronaut.handle, env.robot.handle):
+            touched.update(link for _, link, _ in rows)
+        return rows
 
-    monkeypatch.setattr(env.simulation, "advance", advance_and_look)
-    for seed in range(40):
+    monkeypatch.setattr(env.simulation, "contact_forces", read_and_note)
+    for seed in LIFTED:
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed, task="lift")})
         policy, start, done = ScriptedPolicy(), np.array([True]), False
         while not done:
@@ -207,7 +219,7 @@ def test_a_lift_success_is_carried_by_both_arms_off_the_ground(
             )
             low = e.astronaut.keypoints(e.body)[:, 2].min()
             assert low > 0.0
-    assert found >= 10  # the scripted method lifts most of these scenes
+    assert found >= 14  # the scripted method lifts most of these scenes
 
 
 def test_nothing_constrains_or_teleports_the_astronaut() -> None:

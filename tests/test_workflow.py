@@ -14,7 +14,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from sessions import alive  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
+from sessions import alive  # type: ignore[import-not-found]
 
 from reproduce.experiments.evaluations import EVALUATIONS
 from reproduce.experiments.methods import METHODS
@@ -70,15 +71,10 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return executable
 
 
-def batch(python: Path, out: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the smoke batch of ``random`` up to its tables by the command line."""
-    checkout = python.parents[2]
-    command = [str(python), "-m", "reproduce", "batch", "--preset", "smoke", "--methods", "random", "--threads", "1"]
-    environment = {**os.environ, "PYTHONPATH": f"{checkout / 'envs'}:{checkout}"}
-    return subprocess.run(
-        [*command, "--slots", "1", "--until", "tables", "--out", str(out), *options],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+def of_random(out: Path) -> list[str]:
+    """Return the arguments for the smoke batch of ``random`` up to its tables."""
+    limits = ["--threads", "1", "--slots", "1", "--until", "tables"]
+    return ["batch", "--preset", "smoke", "--methods", "random", *limits, "--out", str(out)]
 
 
 @pytest.fixture(scope="module")
@@ -87,13 +83,16 @@ def failed_and_done(python: Path, tmp_path_factory: pytest.TempPathFactory) -> t
     out = tmp_path_factory.mktemp("batch") / "an out"
     (out / "reference" / "random").mkdir(parents=True)
     (out / "reference" / "random" / "seed0").write_text("in the way")
-    failed = batch(python, out)
-    assert failed.returncode == 1, failed.stderr
+    failed = call(*of_random(out))
+    assert failed.code == 1, failed.err
     (out / "reference" / "random" / "seed0").unlink()
-    done = batch(python, out)
+    checkout = python.parents[2]
+    environment = {**os.environ, "PYTHONPATH": f"{checkout / 'envs'}:{checkout}"}
+    command = [str(python), "-m", "reproduce", *of_random(out)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "3 of 4 steps" in done.stdout and f"{out}/tables: done" in done.stdout
-    return failed.stderr, out
+    return failed.err, out
 
 
 @pytest.fixture(scope="module")

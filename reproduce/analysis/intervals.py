@@ -13,8 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit, logit
-from scipy.stats import norm, t
+from scipy.special import expit, logit, ndtri, stdtrit  # and nothing of scipy.stats, which takes a second to import
 
 from reproduce.experiments.rows import CONFIDENCE, wilson
 
@@ -125,7 +124,7 @@ def kept_share(before: ArrayLike, after: ArrayLike, confidence: float = CONFIDEN
     if not ours.any():
         raise ValueError("kept_share: expected successes before, got none")
     old, new, apart = ours.sum() + 0.5, theirs.sum() + 0.5, (ours != theirs).sum() + 1.0
-    half = float(norm.ppf(0.5 + confidence / 2)) * (apart / (old * new)) ** 0.5
+    half = float(ndtri(0.5 + confidence / 2)) * (apart / (old * new)) ** 0.5
     return float(theirs.sum() / ours.sum()), float(new / old * np.exp(-half)), float(new / old * np.exp(half))
 
 
@@ -140,7 +139,7 @@ def paired_difference(first: ArrayLike, second: ArrayLike, confidence: float = C
     ours, theirs = _pair("paired_difference", first, second)
     tests, better, worse = ours.size, int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
     p, q = (better + 0.5) / (tests + 2), (worse + 0.5) / (tests + 2)
-    half = float(norm.ppf(0.5 + confidence / 2)) * ((p + q - (p - q) ** 2) / (tests + 2)) ** 0.5
+    half = float(ndtri(0.5 + confidence / 2)) * ((p + q - (p - q) ** 2) / (tests + 2)) ** 0.5
     return (better - worse) / tests, max(-1.0, p - q - half), min(1.0, p - q + half)
 
 
@@ -153,7 +152,7 @@ def _quantile(parts: Sequence[tuple[float, int]], confidence: float) -> float:
     parts = [(variance, degrees) for variance, degrees in parts if variance > 0.0]
     total = sum(variance for variance, _ in parts)
     free = total**2 / sum(variance**2 / degrees for variance, degrees in parts) if parts else 1.0
-    return float(t.ppf(0.5 + confidence / 2, free)) if parts else 0.0
+    return float(stdtrit(free, 0.5 + confidence / 2)) if parts else 0.0
 
 
 def _half_width(parts: Sequence[tuple[float, int]], confidence: float) -> float:

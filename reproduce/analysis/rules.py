@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import mannwhitneyu
 
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.intervals import Interval, paired_difference
@@ -106,6 +105,8 @@ def converges_faster(first: Pool, second: Pool) -> Part:
     words = f"env steps to success, within {most:,.0f}: {first.method} against {second.method}, {levels}"
     if not reached.any():
         return Part(f"{words}, no level reached", "undecided", open_figures)
+    from scipy.stats import mannwhitneyu  # here, as it takes a second to import
+
     ours, theirs = ours.mean(axis=1), theirs.mean(axis=1)
     better = mannwhitneyu(theirs, ours).statistic / (len(ours) * len(theirs))
     found = is_smaller_share(ours, theirs)

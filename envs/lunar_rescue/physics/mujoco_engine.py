@@ -43,12 +43,12 @@ class MujocoSimulation(MujocoBodies):
 
     def advance(self, substeps: int) -> None:
         """Let so many substeps pass."""
-        data, motors = self._compiled().data, self._motors
+        speeds_of_all, motors = self._compiled().data.qvel, self._motors
         for _ in range(substeps):
             motors.substep()
-            speeds = data.qvel[motors.places]
-            if np.abs(speeds).max(initial=0.0) > self._speed:
-                data.qvel[motors.places] = np.clip(speeds, -self._speed, self._speed)
+            speeds = speeds_of_all.take(motors.places)
+            if np.maximum.reduce(np.abs(speeds), initial=0.0) > self._speed:
+                speeds_of_all[motors.places] = np.clip(speeds, -self._speed, self._speed)
         self._moved, self._unseen = True, False
 
     def _seen(self) -> World:
@@ -113,13 +113,14 @@ class MujocoSimulation(MujocoBodies):
     def _contacts(self, first: int, second: int) -> tuple[World, Any, Any]:
         """Return the world and, of contacts of two bodies, their numbers and which way round they are."""
         world = self._touched()
-        shapes = world.data.contact.geom
+        contact = world.data.contact
+        shapes = contact.geom
         if not len(shapes):
             return world, [], []
-        owners = world.owners[shapes, 0]
-        straight = (owners[:, 0] == first) & (owners[:, 1] == second)
-        turned = (owners[:, 0] == second) & (owners[:, 1] == first)
-        numbers = np.flatnonzero((straight | turned) & (world.data.contact.dist <= 0.0))
+        # Asked after each substep, so in few and plain steps.
+        one, other = world.owners[:, 0].take(shapes.T)
+        turned = (one == second) & (other == first)
+        numbers = (((one == first) & (other == second) | turned) & (contact.dist <= 0.0)).nonzero()[0]
         return world, numbers, turned[numbers]
 
     def touching(self, first: int, second: int) -> bool:

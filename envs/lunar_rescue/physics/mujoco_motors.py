@@ -43,8 +43,13 @@ class Motors:
         self._targets = np.array([self.targets[i] for i in joints])
         self._limits = np.array([self.limits[i] for i in joints])
         self._bound = np.zeros(len(joints))  # -1 or 1 for who exerts its limit
-        self.world.model.actuator_gainprm[:, 0] = 0.0
-        self.world.model.actuator_biasprm[:] = 0.0
+        model, data = self.world.model, self.world.data
+        model.actuator_gainprm[:, 0] = 0.0
+        model.actuator_biasprm[:] = 0.0
+        self._written: Array | None = None  # of which ``_bound`` the model has the gains
+        self._all_free = True  # whether that is nobody at the limit
+        # Looked up once: MuJoCo makes these views anew at each access.
+        self._qpos, self._qvel, self._ctrl, self._warm = data.qpos, data.qvel, data.ctrl, data.qacc_warmstart
 
     def aim(self, targets: dict[int, float], limits: dict[int, float]) -> None:
         """Set other set-points and limits."""
@@ -60,28 +65,34 @@ class Motors:
         if not self._joints:
             mujoco.mj_step(model, data)
             return
-        before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy(), data.time
-        wanted = POSITION_GAIN_PER_SECOND * (self._targets - before[0][self._angles])  # speeds [rad/s]
+        before = self._qpos.copy(), self._qvel.copy(), self._warm.copy(), data.time
+        wanted = POSITION_GAIN_PER_SECOND * (self._targets - before[0].take(self._angles))  # speeds [rad/s]
         wanted = wanted if self.gains is None else wanted * self.gains
         bound, solved = self._bound, 0
         while True:
             self._set(bound, wanted)
             mujoco.mj_step(model, data)
-            torques = STIFFNESS * (wanted - data.qvel[self._speeds])
-            beyond = np.sign(torques) * (np.abs(torques) > self._limits)
+            torques = exerted = STIFFNESS * (wanted - self._qvel.take(self._speeds))
+            over = np.abs(torques) > self._limits
+            if self._all_free and not over.any():
+                break
+            beyond = np.sign(torques) * over
             kept = bound if solved >= FREEING else bound * (bound == beyond)
             right = np.where(bound == 0, beyond, kept)
             if np.array_equal(right, bound):
+                exerted = np.where(bound == 0, torques, bound * self._limits)
                 break
             bound, solved = right, solved + 1
-            data.qpos[:], data.qvel[:], data.qacc_warmstart[:], data.time = before
+            self._qpos[:], self._qvel[:], self._warm[:], data.time = before
         self._bound = bound
-        exerted = np.where(bound == 0, torques, bound * self._limits)
         self.torques = dict(zip(self._joints, exerted.tolist(), strict=True))
 
     def _set(self, bound: Array, wanted: Array) -> None:
         """Let motors drive at the wanted speeds [rad/s] (0), or exert their limit (-1, 1)."""
-        model, free = self.world.model, bound == 0
-        model.actuator_gainprm[self._motors, 0] = np.where(free, STIFFNESS, 1.0)
-        model.actuator_biasprm[self._motors, 2] = np.where(free, -STIFFNESS, 0.0)
-        self.world.data.ctrl[self._motors] = np.where(free, wanted, bound * self._limits)
+        free = bound == 0
+        if bound is not self._written:  # an array is never changed, only replaced
+            model = self.world.model
+            model.actuator_gainprm[self._motors, 0] = np.where(free, STIFFNESS, 1.0)
+            model.actuator_biasprm[self._motors, 2] = np.where(free, -STIFFNESS, 0.0)
+            self._written, self._all_free = bound, bool(free.all())
+        self._ctrl[self._motors] = wanted if self._all_free else np.where(free, wanted, bound * self._limits)
