@@ -149,8 +149,8 @@ METHODS: dict[str, Method] = {
         _TWO_LAYERS(
             "hrl_dcs_demos",
             "HRL-DCS, demonstrations",
-            "both layers imitate the planner's rescues by hindsight; not in the paper",
-            changes=_IMITATION,
+            "both layers imitate the planner's rescues by hindsight, LLN sees the joint step; not in the paper",
+            changes={**_IMITATION, "priors.joint_step": True},
         ),
         Method(
             "fun",

@@ -76,7 +76,7 @@ class PriorConfig:
 class ImitationConfig:
     """How many rescues a network imitates, how long and how fast, where demonstrations are a prior."""
 
-    scenes: PositiveInt = 1800  # Training scenes that the planner demonstrates
+    scenes: PositiveInt = 800  # Training scenes that the planner demonstrates
     epochs: PositiveInt = 20  # Passes over all demonstrations
     recoveries: NonNegativeInt = 0  # Rounds in which episodes that the student fails become demonstrations, too
     episodes: PositiveInt = 32  # Demonstrations a minibatch, each whole
