@@ -433,7 +433,7 @@ def test_a_resumed_training_repeats_bit_for_bit(tmp_path: Path) -> None:
     assert all(th.equal(expected[name], found[name]) for name in expected)
 
 
-SHARED = PolicyConfig(mirror=True, set_point_changes=True)
+SHARED = PolicyConfig(mirror=True, set_point_changes=True, places=None)
 
 
 def saved(folder: Path) -> FunNetwork:

@@ -33,7 +33,7 @@ from reproduce.learning.workers import WorkerVecEnv
 from reproduce.storage.errors import UserError
 
 LAYERS = METHODS["hrl_dcs"].config("laptop").policy
-SIZES = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(False), JOINTS)}
+SIZES = {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(None, False), JOINTS)}
 
 
 @pytest.fixture(scope="module")

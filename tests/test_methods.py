@@ -162,8 +162,9 @@ def test_all_methods_meet_the_same_terms() -> None:
             config = METHODS[name].config(preset)
             assert config.priors.demonstrations == name.endswith("_demos")
             shared = {key: value for key, value in to_dict(config).items() if key not in own}
-            # What begins from demonstrations says so, and has steps of its own.
-            priors = {**shared["priors"], "demonstrations": False}
+            # What begins from demonstrations says so, may have more priors, and has steps of its own.
+            more = {"demonstrations", "joint_step", "way_in"} if name.endswith("_demos") else set()
+            priors = {**shared["priors"], **dict.fromkeys(more, False)}
             steps = common["steps"] if config.priors.demonstrations else shared["steps"]
             assert {**shared, "priors": priors, "steps": steps} == common
         assert set(common["priors"].values()) == ({False, 1} if preset == "paper" else {True, False})

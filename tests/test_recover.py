@@ -79,9 +79,8 @@ def test_what_cannot_be_mended_is_no_recovery(rescue: Demonstration, env: LunarR
 @pytest.mark.process
 def test_a_student_that_knows_nothing_is_taken_over(rescue: Demonstration, tmp_path: Path) -> None:
     spec = NetworkSpec(SIZE, JOINTS, 8, False)
-    save_policy(
-        tmp_path, "ppo_lstm", {"policy": (spec, spec.build())}, PolicyConfig(mirror=True, set_point_changes=True)
-    )
+    seen = PolicyConfig(mirror=True, set_point_changes=True, places=None)
+    save_policy(tmp_path, "ppo_lstm", {"policy": (spec, spec.build())}, seen)
     noisy = Demonstration(SEED, rescue.actions, -rescue.actions)
     made, share = recoveries(tmp_path, [noisy, rescue], quiet=True)
     assert share == 0.0

@@ -16,6 +16,7 @@ from numpy.random import Generator
 from scipy.special import expit
 from scipy.stats import ttest_1samp
 
+from reproduce.analysis import verdicts
 from reproduce.analysis.intervals import Outcomes, success_difference, success_interval
 from reproduce.analysis.rule_tables import COLUMNS, FILE
 from reproduce.analysis.simulated import (
@@ -26,20 +27,6 @@ from reproduce.analysis.simulated import (
     experiment,
     failing_trainings,
     spread,
-)
-from reproduce.analysis.verdicts import (
-    KEPT,
-    MARGIN,
-    SERVED,
-    UNSOLVED,
-    Judgement,
-    is_below,
-    is_figure,
-    is_larger,
-    is_more,
-    is_smaller_share,
-    keeps_all,
-    serves_all,
 )
 from reproduce.experiments.rows import CONFIDENCE, wilson
 from reproduce.storage.provenance import write_table
@@ -84,17 +71,17 @@ def _difference_covered(rng: Generator, world: World, first: Method, second: Met
     return low <= first.rate - second.rate <= high
 
 
-def _figure(rng: Generator, world: World, method: Method) -> Judgement:
-    return is_figure(experiment(rng, world, method)[0], PAPER)
+def _figure(rng: Generator, world: World, method: Method) -> verdicts.Judgement:
+    return verdicts.is_figure(experiment(rng, world, method)[0], PAPER)
 
 
-def _below(rng: Generator, world: World, method: Method) -> Judgement:
-    return is_below(experiment(rng, world, method)[0])
+def _below(rng: Generator, world: World, method: Method) -> verdicts.Judgement:
+    return verdicts.is_below(experiment(rng, world, method)[0])
 
 
-def _more(rng: Generator, world: World, first: Method, second: Method) -> Judgement:
+def _more(rng: Generator, world: World, first: Method, second: Method) -> verdicts.Judgement:
     ours, theirs = experiment(rng, world, first, second)
-    return is_more(ours, theirs)
+    return verdicts.is_more(ours, theirs)
 
 
 def _any_difference(rng: Generator, world: World, first: Method, second: Method) -> bool:
@@ -102,27 +89,29 @@ def _any_difference(rng: Generator, world: World, first: Method, second: Method)
     return judged.low > 0.0 or judged.high < 0.0
 
 
-def _returns(rng: Generator, apart: float, trainings: int) -> Judgement:
+def _returns(rng: Generator, apart: float, trainings: int) -> verdicts.Judgement:
     """Judge returns of sd 1, the first one's higher by ``apart``."""
     ours, theirs = rng.standard_normal((2, trainings))
-    return is_larger(ours + apart, theirs)
+    return verdicts.is_larger(ours + apart, theirs)
 
 
-def _steps(rng: Generator, share: float, trainings: int) -> Judgement:
+def _steps(rng: Generator, share: float, trainings: int) -> verdicts.Judgement:
     """Judge steps to a level that are log-normal, sd 0.4; a third of the second method's trainings never gets there."""
     ours, theirs = np.exp(0.4 * rng.standard_normal((2, trainings)))
     most = float(np.exp(0.4 * 0.43))  # two thirds of a normal distribution lie below 0.43
-    return is_smaller_share(np.minimum(share * ours, most), np.minimum(theirs, most))
+    return verdicts.is_smaller_share(np.minimum(share * ours, most), np.minimum(theirs, most))
 
 
-def _postures(rng: Generator, rates: Sequence[float], trainings: int) -> Judgement:
+def _postures(rng: Generator, rates: Sequence[float], trainings: int) -> verdicts.Judgement:
     """Judge postures of 50 scenes each; a training is as good or bad in all of them."""
     shift = 0.3 * rng.standard_normal((trainings, 1))
     odds = [centre(rate, 0.3) + shift for rate in rates]
-    return serves_all({f"{i:02}": rng.random((trainings, 50)) < expit(middle) for i, middle in enumerate(odds)})[1]
+    return verdicts.serves_all(
+        {f"{i:02}": rng.random((trainings, 50)) < expit(middle) for i, middle in enumerate(odds)}
+    )[1]
 
 
-def _conditions(rng: Generator, kept: Sequence[float], scenes: int) -> Judgement:
+def _conditions(rng: Generator, kept: Sequence[float], scenes: int) -> verdicts.Judgement:
     """Judge conditions in which a policy of 90 % keeps so much of its success."""
     before = rng.random(scenes) < 0.9
     gained = [0.45 * share for share in kept]  # of the scenes that failed; half of what is kept of the others
@@ -130,10 +119,10 @@ def _conditions(rng: Generator, kept: Sequence[float], scenes: int) -> Judgement
         f"{i:02}": np.where(before, rng.random(scenes) < (share * 0.9 - 0.1 * gain) / 0.9, rng.random(scenes) < gain)
         for i, (share, gain) in enumerate(zip(kept, gained, strict=True))
     }
-    return keeps_all(before, after)[1]
+    return verdicts.keeps_all(before, after)[1]
 
 
-def _says(words: Sequence[str], judge: Callable[[Generator], Judgement]) -> Callable[[Generator], bool]:
+def _says(words: Sequence[str], judge: Callable[[Generator], verdicts.Judgement]) -> Callable[[Generator], bool]:
     return lambda rng: judge(rng).verdict in words
 
 
@@ -195,13 +184,13 @@ def _differences() -> Iterator[Case]:
         claimed = partial(_any_difference, world=World(1.0), first=first, second=second)
         truth = f"92 % both, {words}, log-odds sd 0.5, scenes sd 1"
         yield Case("succeeds more", truth, trainings, "a difference claimed", claimed, ERROR)
-    edge = Method(0.92 + MARGIN, 0.2), Method(0.92, 0.2)
+    edge = Method(0.92 + verdicts.MARGIN, 0.2), Method(0.92, 0.2)
     differs = _says(["differs"], partial(_more, world=World(), first=edge[0], second=edge[1]))
     yield Case("succeeds more", "95 % and 92 %, log-odds sd 0.2", "5, 5", "differs", differs, ERROR)
 
 
 def _figures() -> Iterator[Case]:
-    edge = PAPER - MARGIN
+    edge = PAPER - verdicts.MARGIN
     for words, sd, hard in (("sd 2 points", spread(2, edge), 0.0), ("log-odds sd 0.2, scenes sd 2", 0.2, 2.0)):
         agrees = _says(["agrees"], partial(_figure, world=World(hard), method=Method(edge, sd)))
         yield Case("is the paper's figure", f"95.6 %, {words}", "5", "agrees", agrees, ERROR)
@@ -212,7 +201,7 @@ def _figures() -> Iterator[Case]:
         yield Case("is the paper's figure", truth, str(trainings), "differs", _says(["differs"], judge), ERROR)
     differs = _says(["differs"], partial(_figure, world=World(1.0), method=Method(0.92, 0.5)))
     yield Case("is the paper's figure", "92 %, log-odds sd 0.5, scenes sd 1", "5", "differs", differs, POWER)
-    agrees = _says(["agrees"], partial(_below, world=World(1.0), method=Method(UNSOLVED, 0.5)))
+    agrees = _says(["agrees"], partial(_below, world=World(1.0), method=Method(verdicts.UNSOLVED, 0.5)))
     yield Case("does not solve it", "5 %, log-odds sd 0.5, scenes sd 1", "5", "agrees", agrees, ERROR)
 
 
@@ -230,8 +219,8 @@ def _others() -> Iterator[Case]:
         yield Case("converges faster", f"half the steps, {truth}", number, "agrees", half, bar)
     for words, rates, verdict, bar in (
         ("all 98.6 %", [PAPER] * 20, "agrees", POWER),
-        ("one 90 %, all others 99 %", [SERVED] + [0.99] * 19, "agrees", ERROR),
-        ("all 90 %", [SERVED] * 20, "differs", ERROR),
+        ("one 90 %, all others 99 %", [verdicts.SERVED] + [0.99] * 19, "agrees", ERROR),
+        ("all 90 %", [verdicts.SERVED] * 20, "differs", ERROR),
         ("one 60 %, all others 99 %", [0.6] + [0.99] * 19, "differs", POWER),
     ):
         judge = partial(_postures, rates=rates, trainings=5)
@@ -239,8 +228,8 @@ def _others() -> Iterator[Case]:
     for words, kept, scenes, verdict, bar in (
         ("98 % in all of ten", [0.98] * 10, 200, "agrees", None),
         ("98 % in all of ten", [0.98] * 10, 1000, "agrees", POWER),
-        ("90 % in one of ten", [KEPT] + [1.0] * 9, 200, "agrees", ERROR),
-        ("90 % in all of ten", [KEPT] * 10, 200, "differs", ERROR),
+        ("90 % in one of ten", [verdicts.KEPT] + [1.0] * 9, 200, "agrees", ERROR),
+        ("90 % in all of ten", [verdicts.KEPT] * 10, 200, "differs", ERROR),
         ("75 % in one of ten", [0.75] + [1.0] * 9, 200, "differs", POWER),
     ):
         judge = partial(_conditions, kept=kept, scenes=scenes)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.learning.config import PolicyConfig, RecurrentConfig
 from reproduce.learning.demonstrations import PlayedBack
@@ -15,6 +14,7 @@ from reproduce.learning.imitation import Example
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.training import EpisodeLog, RecurrentTraining, imitate, make_environments, make_learner
+from reproduce.learning.way_in import view_size
 
 LEVEL = "policy"  # name of the one learner, in checkpoints and run folders
 
@@ -58,4 +58,9 @@ class FlatTraining(RecurrentTraining):
 
     def networks(self) -> dict[str, tuple[NetworkSpec, RecurrentNetwork]]:
         """Return the one network with its sizes; see ``Training``."""
-        return {LEVEL: (NetworkSpec(SIZE, JOINTS, self.config.low.hidden_units, False), self.learner.policy)}
+        return {
+            LEVEL: (
+                NetworkSpec(view_size(self.config.seen_places), JOINTS, self.config.low.hidden_units, False),
+                self.learner.policy,
+            )
+        }

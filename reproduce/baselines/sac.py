@@ -26,7 +26,6 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
-from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
 from reproduce.learning.config import PolicyConfig, Share, TrainingConfig
@@ -34,6 +33,7 @@ from reproduce.learning.networks import NoOptimizer, Standardiser, flat_spaces, 
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations, load_only_network
 from reproduce.learning.sequence_ppo import check_losses
 from reproduce.learning.training import EpisodeLog, Training, make_environments
+from reproduce.learning.way_in import view_size
 from reproduce.storage.checkpoint import module_tensors, optimizer_tensors, restore_module, restore_optimizer
 from reproduce.storage.policies import Spec
 from reproduce.storage.records import Units
@@ -195,7 +195,12 @@ class SacTraining(Training):
 
     def networks(self) -> dict[str, tuple[SacSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
-        return {LEVEL: (SacSpec(SIZE, JOINTS, self.config.sac.hidden_units), self.learner.actor)}
+        return {
+            LEVEL: (
+                SacSpec(view_size(self.config.seen_places), JOINTS, self.config.sac.hidden_units),
+                self.learner.actor,
+            )
+        }
 
 
 class SacPolicy(MirroredPolicy):

@@ -18,7 +18,6 @@ import torch as th
 from stable_baselines3.td3.policies import Actor, TD3Policy
 from torch.nn import functional
 
-from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.scenes.records import checked
 from reproduce.baselines.demonstrated_td3 import OffPolicyConfig, make_td3
@@ -29,6 +28,7 @@ from reproduce.learning.imitation import lower_rate
 from reproduce.learning.networks import NoOptimizer, flat_spaces, observe_all
 from reproduce.learning.policy import load_only_network
 from reproduce.learning.training import Training, make_environments
+from reproduce.learning.way_in import view_size
 from reproduce.storage.policies import Spec
 
 LEVEL = "actor"
@@ -109,7 +109,12 @@ class SacDemosTraining(Training):
 
     def networks(self) -> dict[str, tuple[ActorSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
-        return {LEVEL: (ActorSpec(SIZE, JOINTS, self.config.off_policy.hidden_units), self.learner.actor)}
+        return {
+            LEVEL: (
+                ActorSpec(view_size(self.config.seen_places), JOINTS, self.config.off_policy.hidden_units),
+                self.learner.actor,
+            )
+        }
 
 
 def load_sac_demos_policy(folder: Path) -> SacPolicy:

@@ -185,6 +185,7 @@ class _Run:
         rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet, wait=True)
         begun = time.monotonic()
         seen = {"weights": config.reward, "gamma": config.discount, "mirrored": config.priors.mirror}
+        seen["places"] = config.seen_places
         rows: list[dict[str, Any]] = []
         about = {"scenes": config.imitation.scenes, "rescues": len(rescues)}
         played = play_back(rescues, **seen)

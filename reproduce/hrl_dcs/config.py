@@ -68,7 +68,7 @@ class HierarchicalConfig(RecurrentConfig):
         """Return what ``policy.json`` holds of the trained policy besides its networks."""
         p = self.priors
         return HierarchicalPolicyConfig(
-            p.mirror, p.set_point_changes, self.hierarchy.interval, p.joint_step, self.goals
+            p.mirror, p.set_point_changes, self.seen_places, self.hierarchy.interval, p.joint_step, self.goals
         )
 
 

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.hrl_dcs.config import GoalConfig, HierarchicalPolicyConfig
 from reproduce.hrl_dcs.goals import Floats, Goals
 from reproduce.hrl_dcs.subgoals import SUBGOAL_SIZE, RescueGoals, lln_size
-from reproduce.learning.config import PriorConfig
+from reproduce.learning.config import PlacesConfig, PriorConfig
 from reproduce.learning.networks import Memory, NetworkSpec, RecurrentNetwork
 from reproduce.learning.policy import Actions, MirroredPolicy, Observations
+from reproduce.learning.way_in import view_size
 from reproduce.storage.policies import load_networks, load_policy_config
 
 
@@ -60,13 +60,13 @@ class HierarchicalPolicy(MirroredPolicy):
         sgn: RecurrentNetwork,
         lln: RecurrentNetwork,
         config: HierarchicalPolicyConfig,
-        make_goals: Callable[[GoalConfig, PriorConfig], RescueGoals] = RescueGoals,
+        make_goals: Callable[[GoalConfig, PriorConfig, PlacesConfig | None], RescueGoals] = RescueGoals,
     ) -> None:
         """Make a policy that acts in no environment yet; ablations make other sub-goals of SGN's outputs."""
         super().__init__(config)
         self.networks, self.layers = (sgn, lln), config
         priors = PriorConfig(set_point_changes=config.set_point_changes, joint_step=config.joint_step)
-        self._goals = make_goals(config.goals, priors)
+        self._goals = make_goals(config.goals, priors, config.places)
 
     def begin(self, count: int) -> None:
         """Begin with empty memories of ``count`` environments; see ``MirroredPolicy``."""
@@ -90,7 +90,10 @@ class HierarchicalPolicy(MirroredPolicy):
 
 def network_sizes(config: HierarchicalPolicyConfig) -> dict[str, tuple[int, int]]:
     """Return how many numbers each layer sees and puts out."""
-    return {"sgn": (SIZE, SUBGOAL_SIZE), "lln": (lln_size(config.joint_step), JOINTS)}
+    return {
+        "sgn": (view_size(config.places), SUBGOAL_SIZE),
+        "lln": (lln_size(config.places, config.joint_step), JOINTS),
+    }
 
 
 def load_hierarchical_policy(folder: Path) -> HierarchicalPolicy:

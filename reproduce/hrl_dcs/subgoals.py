@@ -16,8 +16,9 @@ from reproduce.hrl_dcs.config import GoalConfig
 from reproduce.hrl_dcs.goals import PlainGoals
 from reproduce.hrl_dcs.joint_step import joint_step
 from reproduce.learning.actions import environment_actions
-from reproduce.learning.config import PriorConfig
+from reproduce.learning.config import PlacesConfig, PriorConfig
 from reproduce.learning.networks import flat_spaces
+from reproduce.learning.way_in import view_size
 
 Floats = NDArray[np.float32]
 
@@ -35,9 +36,9 @@ _END_A, _END_B = (slice(SLICES[arm].start + 15, SLICES[arm].start + 18) for arm 
 _TARGETS = slice(SLICES["P_G"].start, SLICES["P_G"].start + 6)
 
 
-def lln_size(joint_steps: bool) -> int:
+def lln_size(places: PlacesConfig | None, joint_steps: bool) -> int:
     """Return the size of what LLN sees: observation, sub-goal and, where it sees one, the joint step towards it."""
-    return SIZE + SUBGOAL_SIZE + (JOINTS if joint_steps else 0)
+    return view_size(places) + SUBGOAL_SIZE + (JOINTS if joint_steps else 0)
 
 
 def arm_ends(observations: Floats) -> Floats:
@@ -55,11 +56,14 @@ class RescueGoals(PlainGoals):
 
     distance_count = 2
 
-    def __init__(self, config: GoalConfig, priors: PriorConfig) -> None:
-        """Take over frame and scale, and the priors of LLN: what it sees and puts out besides, and what INR has."""
+    def __init__(self, config: GoalConfig, priors: PriorConfig, places: PlacesConfig | None = None) -> None:
+        """Take over frame and scale, and the priors of LLN: what it sees and puts out besides, and what INR has.
+
+        ``places`` are those to which both layers see the way, or None.
+        """
         super().__init__(*flat_spaces(SIZE, JOINTS), arm_ends, config.reach)
         self.config, self.priors = config, priors
-        self.view_size = lln_size(priors.joint_step)
+        self.view_size = lln_size(places, priors.joint_step)
 
     def subgoals(self, outputs: Floats) -> Floats:
         """Return the places (n, 6) [m] that SGN's outputs (n, 6) in [-1, 1] command."""

@@ -61,7 +61,7 @@ class HierarchicalTraining(TwoLayerTraining):
     """Trains SGN and LLN on the rescue."""
 
     def __init__(self, config: HierarchicalConfig, seed: int) -> None:
-        self.rescue_goals = RescueGoals(config.goals, config.priors)
+        self.rescue_goals = RescueGoals(config.goals, config.priors, config.seen_places)
         super().__init__(make_environments(config, seed), self.rescue_goals, config, seed)
 
     def imitate(self, played: Sequence[PlayedBack], seed: int) -> Iterator[dict[str, Any]]:

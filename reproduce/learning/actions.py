@@ -30,7 +30,8 @@ ARM_UPPER = np.minimum(INITIAL_ARM + ARM_WINDOW, _ARM_LIMITS[1])
 LOWER = np.concatenate([ARM_LOWER, ARM_LOWER, [max(INITIAL_WAIST - WAIST_WINDOW, _WAIST_LIMITS[0])]])
 UPPER = np.concatenate([ARM_UPPER, ARM_UPPER, [min(INITIAL_WAIST + WAIST_WINDOW, _WAIST_LIMITS[1])]])
 
-_ANGLES = np.r_[
+#: Where the joints' angles are in a flat observation: arm A, arm B, waist (11,).
+ANGLES = np.r_[
     SLICES["P_A"].start : SLICES["P_A"].start + 5,
     SLICES["P_B"].start : SLICES["P_B"].start + 5,
     SLICES["P_W"].start : SLICES["P_W"].start + 1,
@@ -39,7 +40,7 @@ _ANGLES = np.r_[
 
 def _held(observations: Floats) -> Floats:
     """Return the previous actions (n, 11), no further ahead of the angles than a step can go."""
-    angles = observations[:, _ANGLES]
+    angles = observations[:, ANGLES]
     held: Floats = np.clip(observations[:, SLICES["a_prev"]], angles - LARGEST_CHANGE, angles + LARGEST_CHANGE)
     return held
 

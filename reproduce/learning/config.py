@@ -46,11 +46,27 @@ class LearnerConfig:
 
 @checked
 @dataclass(frozen=True)
+class PlacesConfig:
+    """The places of both arm ends to which `learning.way_in` tells the way, as the planner goes."""
+
+    above: PositiveFloat = 0.4  # How far above where the slide begins [m]
+    before: NonNegativeFloat = 0.04  # How far before the entry the slide begins [m]
+    above_slope: float = 20.0  # Slope of the forearms up there [deg]
+    begin_slope: float = -9.0  # Slope where the slide begins [deg]
+    under_slope: float = -3.0  # Slope with the plates under the body [deg]
+    waist: float = 40.0  # Waist angle with the plates under the body [deg]
+    lean: float = 64.0  # How much further it leans per metre slid in [deg/m]
+    above_lean: NonNegativeFloat = 8.0  # How much less it leans up there than where the slide begins [deg]
+
+
+@checked
+@dataclass(frozen=True)
 class PolicyConfig:
     """What ``policy.json`` holds besides networks; methods that need more to act add it."""
 
     mirror: bool  # Whether the networks see scenes through `reproduce.learning.mirror`
     set_point_changes: bool  # Whether they put out changes of set-points, see `reproduce.learning.actions`
+    places: PlacesConfig | None  # To where they see the way in joint angles, see `reproduce.learning.way_in`; or None
 
 
 @checked
@@ -63,6 +79,7 @@ class PriorConfig:
     # How many times as often as postures on a side, which are learnt first, training draws those face up and down.
     # Rates in `progress.csv` are weighed back to what tests draw, all postures alike.
     lying_weight: PositiveInt = 1
+    way_in: bool = False  # Networks see the way to places above, before and under the body, see `learning.way_in`
     joint_step: bool = False  # LLN sees the kinematic step of all joints to its sub-goal, see `hrl_dcs.joint_step`
     milestone_share: NonNegativeFloat = 0.0  # Weight in INR of what comes once an episode and is not in the paper
     demonstrations: bool = False  # Networks imitate the planner's rescues of training scenes before they explore
@@ -99,6 +116,7 @@ class TrainingConfig:
     obstacle_reward: Literal["aapf", "contact"] = "aapf"  # `"aapf"` or, in the ablation, `"contact"`
     scenes: Literal["all", "easy"] = "all"  # `"all"`, or `"easy"`: one posture, no rocks, the lightest astronaut
     priors: PriorConfig = field(default_factory=PriorConfig)  # What it is given that is not in the paper
+    places: PlacesConfig = field(default_factory=PlacesConfig)  # To where networks see the way, if that is a prior
 
     def __post_init__(self) -> None:
         """Refuse a training of nothing, and randomised episodes of which there are none."""
@@ -112,7 +130,12 @@ class TrainingConfig:
     @property
     def policy(self) -> PolicyConfig:
         """Return what ``policy.json`` holds of the trained policy besides its networks."""
-        return PolicyConfig(self.priors.mirror, self.priors.set_point_changes)
+        return PolicyConfig(self.priors.mirror, self.priors.set_point_changes, self.seen_places)
+
+    @property
+    def seen_places(self) -> PlacesConfig | None:
+        """Return the places to which networks see the way, or None."""
+        return self.places if self.priors.way_in else None
 
 
 @checked

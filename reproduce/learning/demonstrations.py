@@ -22,7 +22,9 @@ from lunar_rescue.physics.robot import JOINTS
 from lunar_rescue.rewards import RewardWeights
 from lunar_rescue.scenes.splits import TRAIN
 from reproduce.learning.actions import to_outputs
+from reproduce.learning.config import PlacesConfig
 from reproduce.learning.mirror import Mirror
+from reproduce.learning.way_in import WayIn
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import write_atomically
 from reproduce.storage.policies import read_tensors
@@ -51,7 +53,7 @@ class Demonstration:
 class PlayedBack:
     """A demonstration as a learner would have seen it, in its own view (``reproduce.learning.mirror``)."""
 
-    observations: Floats  # (steps, SIZE)
+    observations: Floats  # (steps, SIZE), or more with the way in
     outputs: Floats  # what the network should put out (steps, 11), in [-1, 1]
     taken: Floats  # outputs that lead to what was done (steps, 11), which noise made of ``outputs``
     rewards: Floats  # the environment's (steps,)
@@ -110,18 +112,18 @@ def read_demonstrations(path: Path) -> tuple[list[Demonstration], dict[str, str]
 _STATE: dict[str, Any] = {}
 
 
-def _prepare(weights: RewardWeights, gamma: float, mirrored: bool) -> None:
-    _STATE.update(env=LunarRescueEnv(weights=weights), gamma=gamma, mirrored=mirrored)
+def _prepare(weights: RewardWeights, gamma: float, mirrored: bool, places: PlacesConfig | None) -> None:
+    _STATE.update(env=LunarRescueEnv(weights=weights), gamma=gamma, mirrored=mirrored, places=places)
 
 
 def _play(demonstration: Demonstration) -> PlayedBack | None:
-    env, mirror = _STATE["env"], Mirror(1)
+    env, mirror, way = _STATE["env"], Mirror(1), WayIn(1, _STATE["places"])
     seen, _ = env.reset_flat(options={"scene": sample_scene(demonstration.seed)})
     if _STATE["mirrored"]:
         mirror.begin(seen[None], np.ones(1, bool))
     observations, rewards, success = [], [], False
     for action in demonstration.actions:
-        observations.append(mirror.observations(seen[None])[0])
+        observations.append(way.view(mirror.observations(seen[None]))[0])
         seen, reward, _, _, info = env.step_flat(action)
         rewards.append(reward)
         success = info["is_success"]
@@ -149,6 +151,7 @@ def play_back(
     weights: RewardWeights,
     gamma: float = 0.99,
     mirrored: bool = True,
+    places: PlacesConfig | None = None,
     workers: int | None = None,
 ) -> list[PlayedBack]:
     """Let the environment play demonstrations back, in as many processes as there are cores.
@@ -158,12 +161,13 @@ def play_back(
         weights: Of the environment's reward, whose returns a critic learns.
         gamma: Discount of the returns.
         mirrored: Whether the learner sees scenes through ``reproduce.learning.mirror``.
+        places: To where the learner sees the way, see ``reproduce.learning.way_in``; None leaves it out.
         workers: Number of processes; None is one a core.
 
     Raises:
         UserError: Where one does not end in a rescue: the file is not of this environment.
     """
-    everything, how = list(demonstrations), (weights, gamma, mirrored)
+    everything, how = list(demonstrations), (weights, gamma, mirrored, places)
     if len(everything) <= FEW:  # starting processes would take longer
         _prepare(*how)
         played = list(map(_play, everything))

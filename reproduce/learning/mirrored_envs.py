@@ -1,11 +1,17 @@
-"""Vectorised environments in the mirrored view; apart from ``mirror``, so that acting does without SB3."""
+"""Vectorised environments as learners see them; apart from ``mirror`` and ``way_in``, as acting does without SB3."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from lunar_rescue.physics.robot import JOINTS
+from reproduce.learning.config import PlacesConfig
 from reproduce.learning.mirror import Floats, Mirror, mirror_observations
+from reproduce.learning.networks import flat_spaces
+from reproduce.learning.way_in import WayIn, view_size
 from reproduce.learning.workers import WorkerVecEnv
 
 
@@ -40,4 +46,28 @@ class MirroredVecEnv(VecEnvWrapper):
         return self._mirror.observations(observations), rewards, dones, infos
 
 
-Environments = WorkerVecEnv | MirroredVecEnv
+class WayInVecEnv(VecEnvWrapper):
+    """Vectorised environments whose observations hold the way in, too."""
+
+    venv: Any  # a WorkerVecEnv, or its mirrored view
+
+    def __init__(self, venv: Any, config: PlacesConfig) -> None:
+        """Wrap environments in the learner's view; see ``WayIn``."""
+        super().__init__(venv, observation_space=flat_spaces(view_size(config), JOINTS)[0])
+        self._config, self._way = config, WayIn(venv.num_envs, config)
+
+    def reset(self) -> Floats:
+        """Begin new episodes everywhere; return the first observations (n, SIZE or more)."""
+        self._way = WayIn(self.num_envs, self._config)  # as in a run that is gone on with here
+        return self._way.view(self.venv.reset())
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Wait for all workers; an ended episode's last observation, in its info, is completed as well."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        for index in np.flatnonzero(dones):
+            last = infos[index]["terminal_observation"]
+            infos[index]["terminal_observation"] = WayIn(1, self._config).view(last[None])[0]
+        return self._way.view(observations), rewards, dones, infos
+
+
+Environments = WorkerVecEnv | MirroredVecEnv | WayInVecEnv

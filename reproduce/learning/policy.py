@@ -7,11 +7,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lunar_rescue.observation import SIZE
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.learning.actions import environment_actions
 from reproduce.learning.config import PolicyConfig
 from reproduce.learning.mirror import Mirror
+from reproduce.learning.way_in import WayIn, view_size
 from reproduce.storage.policies import Spec, load_networks, load_policy_config
 
 Observations = NDArray[np.float32]
@@ -44,22 +44,23 @@ class MirroredPolicy(Policy):
 
     @abstractmethod
     def outputs(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
-        """Return what the network puts out (n, 11) for observations in its own view (n, SIZE)."""
+        """Return what the network puts out (n, 11) for observations in its own view (n, SIZE or more)."""
 
     def act(self, observations: Observations, starts: NDArray[np.bool_]) -> Actions:
         """Choose actions, see ``Policy.act``; the first call, and one for another n, begins an episode everywhere."""
         if len(observations) != self._count:
             self._count, self._mirror = len(observations), Mirror(len(observations))
+            self._way = WayIn(self._count, self.config.places)
             self.begin(self._count)
             starts = np.ones(self._count, bool)
         if self.config.mirror:
             self._mirror.begin(observations, starts)
-        seen = self._mirror.observations(observations)
+        seen = self._way.view(self._mirror.observations(observations))
         outputs = self.outputs(seen, starts)
         return self._mirror.actions(environment_actions(seen, outputs, self.config.set_point_changes))
 
 
 def load_only_network(folder: Path, level: str, kind: type[Spec]) -> tuple[Any, PolicyConfig]:
     """Return the network of a run folder's only level and how it sees and acts; see ``load_networks``."""
-    networks = load_networks(folder, {level: (SIZE, JOINTS)}, kind)
-    return networks[level], load_policy_config(folder, PolicyConfig)
+    config = load_policy_config(folder, PolicyConfig)
+    return load_networks(folder, {level: (view_size(config.places), JOINTS)}, kind)[level], config

@@ -18,7 +18,7 @@ from reproduce.learning.actions import environment_actions
 from reproduce.learning.config import ImitationConfig, LearnerConfig, RecurrentConfig, TrainingConfig
 from reproduce.learning.demonstrations import PlayedBack
 from reproduce.learning.imitation import Example, Imitation
-from reproduce.learning.mirrored_envs import Environments, MirroredVecEnv
+from reproduce.learning.mirrored_envs import Environments, MirroredVecEnv, WayInVecEnv
 from reproduce.learning.networks import RecurrentNetwork
 from reproduce.learning.sequence_ppo import SequencePPO
 from reproduce.learning.worker_process import RETURN, EnvOptions
@@ -33,7 +33,8 @@ def make_environments(config: TrainingConfig, seed: int) -> Environments:
     postures_drawn = tuple(drawn) if config.priors.lying_weight > 1 else ()
     options = EnvOptions(arguments, postures_drawn, config.scenes == "easy", config.priors.randomise)
     venv = WorkerVecEnv(config.n_envs, seed, options)
-    return MirroredVecEnv(venv) if config.priors.mirror else venv
+    view = MirroredVecEnv(venv) if config.priors.mirror else venv
+    return WayInVecEnv(view, config.places) if config.priors.way_in else view
 
 
 def _weight(posture: Posture, lying_weight: int) -> int:
