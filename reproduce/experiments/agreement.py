@@ -183,7 +183,8 @@ def summarise_agreement(rows: pd.DataFrame) -> dict[str, Any]:
             "joints_before_contact_most_deg": float(np.degrees(group["joints_before"].max())),
             "parted": int(group["parted_after"].notna().sum()),
             "parted_after_steps_median": _median(group["parted_after"]),
-            "waist_torque_error_median": _median(group["waist_error"].abs()),
+            # Where no scene has a number, the column holds objects.
+            "waist_torque_error_median": _median(group["waist_error"].astype(float).abs()),
             "deepest_overlap_median_mm": float(1000 * group["deepest"].median()),
             "step_ms_median": float(group["step_us"].median() / 1000),
             "waist_torques": int(group["waist_error"].notna().sum()),
