@@ -20,7 +20,7 @@ from reproduce.experiments.presets import changed
 from reproduce.learning.config import PlacesConfig
 from reproduce.learning.demonstrations import Demonstration, play_back
 from reproduce.learning.mirror import ACTIONS, mirror_observations
-from reproduce.learning.way_in import MOVED, PLACES, WAY_SIZE, WayIn, joints_at_places
+from reproduce.learning.way_in import PLACES, WAY_SIZE, WayIn, joints_at_places
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json, write_json
 from reproduce.storage.policies import save_policy
@@ -86,17 +86,18 @@ def test_places_are_solved_anew_where_targets_move(seen: Floats) -> None:
     way = WayIn(4, CONFIG)
     before = way.view(seen)
     moved = seen.copy()
-    moved[0, GOALS] += 0.5 * MOVED
-    moved[1, GOALS] += 10 * MOVED
+    moved[0, GOALS] += 0.5 * CONFIG.moved
+    moved[1, GOALS] += 10 * CONFIG.moved
     after = way.view(moved)
     assert np.array_equal(after[[0, 2, 3], SIZE:], before[[0, 2, 3], SIZE:])
     assert np.abs(after[1, SIZE:] - before[1, SIZE:]).max() > 0.01
     second = seen.copy()
-    second[:, GOALS] += 10 * MOVED
+    second[:, GOALS] += 10 * CONFIG.moved
     second[:2, SLICES["phase"]] = [1.0, 0.5]  # process 2 is reached
     last = way.view(second)
     assert np.array_equal(last[:2, SIZE:], after[:2, SIZE:]) and not np.array_equal(last[2:, SIZE:], after[2:, SIZE:])
-    again = way.view(seen)  # new episodes
+    way.begin(np.array([True, True, False, False]))
+    again = way.view(seen)
     assert np.array_equal(again[:2, SIZE:], before[:2, SIZE:])
 
 

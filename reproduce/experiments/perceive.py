@@ -164,7 +164,7 @@ def compare_states(
     """
     seeds, method = scene_seeds(tests, first_seed), find_policy(where)[0].name
     load_embedding(folder)
-    noise = measuring.noise(_evaluation(folder))
+    noise = _measured_noise(folder)
     table, summary = (folder / f"{_prefix(first_seed)}rescues_{method}.{ending}" for ending in ("csv", "json"))
     for path in filter(None, (table, summary, json)):
         check_writable(path)
@@ -194,13 +194,13 @@ def summarise_states(rows: pd.DataFrame) -> list[dict[str, Any]]:
     return table
 
 
-def _evaluation(folder: Path) -> Any:
+def _measured_noise(folder: Path) -> dict[str, float]:
+    """Return noise of the size of the embedding's errors, as its evaluation has them."""
     told = read_json(folder / "evaluation.json", "evaluation of the embedding (reproduce perceive evaluate)")
     try:
-        measuring.noise(told)
+        return measuring.noise(told)
     except (KeyError, TypeError):
         raise UserError(f"{folder / 'evaluation.json'}: no evaluation of an embedding") from None
-    return told
 
 
 def _tell(told: dict[str, Any], tell: Callable[[str], object]) -> None:

@@ -57,6 +57,9 @@ class PlacesConfig:
     waist: float = 40.0  # Waist angle with the plates under the body [deg]
     lean: float = 64.0  # How much further it leans per metre slid in [deg/m]
     above_lean: NonNegativeFloat = 8.0  # How much less it leans up there than where the slide begins [deg]
+    near: PositiveFloat = 6.0  # A way is also seen so many times as large and cut at 1, for what is decided close by
+    # Targets and entries that moved by less leave the places as they are, as solving takes milliseconds [m]
+    moved: NonNegativeFloat = 0.004
 
 
 @checked

@@ -54,11 +54,11 @@ class WayInVecEnv(VecEnvWrapper):
     def __init__(self, venv: Any, config: PlacesConfig) -> None:
         """Wrap environments in the learner's view; see ``WayIn``."""
         super().__init__(venv, observation_space=flat_spaces(view_size(config), JOINTS)[0])
-        self._config, self._way = config, WayIn(venv.num_envs, config)
+        self._way = WayIn(venv.num_envs, config)
 
     def reset(self) -> Floats:
         """Begin new episodes everywhere; return the first observations (n, SIZE or more)."""
-        self._way = WayIn(self.num_envs, self._config)  # as in a run that is gone on with here
+        self._way.begin(np.ones(self.num_envs, bool))
         return self._way.view(self.venv.reset())
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -66,7 +66,8 @@ class WayInVecEnv(VecEnvWrapper):
         observations, rewards, dones, infos = self.venv.step_wait()
         for index in np.flatnonzero(dones):
             last = infos[index]["terminal_observation"]
-            infos[index]["terminal_observation"] = WayIn(1, self._config).view(last[None])[0]
+            infos[index]["terminal_observation"] = self._way.complete(last[None], [int(index)])[0]
+        self._way.begin(dones)
         return self._way.view(observations), rewards, dones, infos
 
 

@@ -55,6 +55,7 @@ class MirroredPolicy(Policy):
             starts = np.ones(self._count, bool)
         if self.config.mirror:
             self._mirror.begin(observations, starts)
+        self._way.begin(starts)
         seen = self._way.view(self._mirror.observations(observations))
         outputs = self.outputs(seen, starts)
         return self._mirror.actions(environment_actions(seen, outputs, self.config.set_point_changes))

@@ -19,13 +19,9 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 PLACES = 3  # above where the slide begins, there, and under the body
-NEAR = 6.0  # a place is also seen this many times as large and cut at 1, for what is decided close to it
 WAY_SIZE = 2 * PLACES * JOINTS
-MOVED = 0.004  # m, targets and entries that moved by less leave the places as they are, as solving takes milliseconds
 
-_ENDS = [slice(SLICES[arm].start + 15, SLICES[arm].start + 18) for arm in ("P_A", "P_B")]
-_GOALS = SLICES["P_G"]
-_PHASE, _TIME = SLICES["phase"].start, SLICES["phase"].start + 1
+_PHASE = SLICES["phase"].start
 _MIRROR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])  # arm B is arm A mirrored
 
 
@@ -40,9 +36,8 @@ def joints_at_places(observations: Floats, config: PlacesConfig) -> Floats:
     Places follow from the targets and the entries before the body in flat observations (n, SIZE or more). Each is
     solved from the one before it, the first one from the initial posture.
     """
-    ends = np.stack([observations[:, where] for where in _ENDS], axis=1).astype(np.float64)
-    goals = observations[:, _GOALS].reshape(-1, 3, 2, 3).astype(np.float64)
-    target, way = goals[:, 0], goals[:, 0] - (ends + goals[:, 2])
+    goals = _goals(observations).astype(np.float64)
+    target, way = goals[:, 0], goals[:, 1] - goals[:, 2]  # from the entry to the target
     way[..., 2] = 0.0
     length = np.linalg.norm(way, axis=2, keepdims=True)
     begin = target - (length + config.before) * way / np.maximum(length, 1e-6)
@@ -61,6 +56,11 @@ def joints_at_places(observations: Floats, config: PlacesConfig) -> Floats:
     return np.stack(rows, axis=1).astype(np.float32)
 
 
+def _goals(observations: Floats) -> Floats:
+    """Return P_G: targets, and the ways from the ends to targets and to entries, of both arms (n, 3, 2, 3) [m]."""
+    return observations[:, SLICES["P_G"]].reshape(-1, 3, 2, 3)
+
+
 def _solved(places: Array, slope: float, waists: Array, starts: Array) -> Array:
     """Solve both arms' joints (n, 2, 5) [rad] with their ends at places (n, 2, 3) [m]."""
     count, bounds = 2 * len(places), (LOWER[:5], UPPER[:5])
@@ -77,22 +77,28 @@ class WayIn:
         self._config = config
         self._seen = np.full((count, 12), np.inf, np.float32)  # where targets and entries were when places were solved
         self._places = np.zeros((count, PLACES, JOINTS), np.float32)
-        self._time = np.zeros(count, np.float32)  # share of the step limit; less than before where an episode begins
+
+    def begin(self, starts: NDArray[np.bool_]) -> None:
+        """Forget the places of environments that begin an episode, ``starts`` (n,)."""
+        self._seen[starts] = np.inf
 
     def view(self, observations: Floats) -> Floats:
         """Return observations (n, SIZE) with the way in behind them (n, SIZE + WAY_SIZE)."""
         if self._config is None:
             return observations
-        goals = observations[:, _GOALS]
-        entries = np.concatenate([observations[:, where] for where in _ENDS], axis=1) + goals[:, 12:]
-        seen = np.concatenate([goals[:, :6], entries], axis=1)
+        goals = _goals(observations)
+        seen = np.concatenate([goals[:, 0], goals[:, 0] + goals[:, 2] - goals[:, 1]], axis=1).reshape(-1, 12)
         # In process 2 the body moves with the plates: places stay where they were, as the planner's way-points do.
-        before = (observations[:, _PHASE] < 0.5) | np.isinf(self._seen[:, 0])
-        begun = observations[:, _TIME] < self._time
-        rows = np.flatnonzero((before & (np.abs(seen - self._seen).max(axis=1) > MOVED)) | begun)
-        self._time = observations[:, _TIME].copy()
+        free = (observations[:, _PHASE] < 0.5) | np.isinf(self._seen[:, 0])
+        rows = np.flatnonzero(free & (np.abs(seen - self._seen).max(axis=1) > self._config.moved))
         if len(rows):
             self._seen[rows] = seen[rows]
             self._places[rows] = joints_at_places(observations[rows], self._config)
-        way = (self._places - observations[:, None, ANGLES]).reshape(len(observations), -1)
-        return np.concatenate([observations, way, np.clip(NEAR * way, -1.0, 1.0)], axis=1)
+        return self.complete(observations, slice(None))
+
+    def complete(self, observations: Floats, rows: slice | list[int]) -> Floats:
+        """Return observations of some environments with the way to the places as they are."""
+        if self._config is None:
+            return observations
+        way = (self._places[rows] - observations[:, None, ANGLES]).reshape(len(observations), -1)
+        return np.concatenate([observations, way, np.clip(self._config.near * way, -1.0, 1.0)], axis=1)
