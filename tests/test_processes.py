@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from sessions import alive, nobody_left, wait_for  # type: ignore[import-not-found]  # pytest puts this folder on the path
 
 from reproduce.storage.errors import RunFailedError
 from reproduce.storage.processes import end_with, map_in_processes
+
+Answer = TypeVar("Answer")
 
 #: Starts two workers that sleep for ten minutes each, and ends as a command does.
 COMMAND = """
@@ -29,7 +34,7 @@ def job(folder):
 if __name__ == "__main__":
     with stop_signals() as stop:
         try:
-            list(map_in_processes(job, [sys.argv[1]] * 8, workers=2))
+            map_in_processes(job, [sys.argv[1]] * 8, workers=2)
         except KeyboardInterrupt:
             sys.exit(stop.code)
 """
@@ -49,7 +54,7 @@ process._ExecutorManagerThread = Late
 if __name__ == "__main__":
     with stop_signals() as stop:
         try:
-            list(map_in_processes(abs, range(900), workers=2))
+            map_in_processes(abs, range(900), workers=2)
         except KeyboardInterrupt:
             sys.exit(stop.code)
 """
@@ -111,11 +116,26 @@ def test_a_process_whose_parent_has_gone_before_it_began_ends_at_once() -> None:
 
 @pytest.mark.process
 def test_answers_come_in_order_and_a_worker_that_dies_is_named() -> None:
-    assert list(map_in_processes(abs, [-3, 2, -1], workers=2)) == [3, 2, 1]
+    assert map_in_processes(abs, [-3, 2, -1], workers=2) == [3, 2, 1]
     with pytest.raises(RunFailedError, match="worker process was killed or crashed"):
-        list(map_in_processes(os._exit, [7, 7, 7], workers=2))
+        map_in_processes(os._exit, [7, 7, 7], workers=2)
     with pytest.raises(ValueError, match="negative"):
-        list(map_in_processes(time.sleep, [0.0, -1.0, 600.0], workers=2))
+        map_in_processes(time.sleep, [0.0, -1.0, 600.0], workers=2)
+
+
+@pytest.mark.process
+def test_an_interruption_in_the_progress_bar_leaves_no_worker() -> None:
+    """While somebody still held the error, workers went on, and the command's end waited for all their jobs."""
+
+    def interrupt(answers: Iterable[Answer]) -> Iterator[Answer]:
+        for answer in answers:
+            yield answer
+            raise KeyboardInterrupt
+
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt) as held:
+        map_in_processes(time.sleep, [0.0, 600.0, 600.0, 600.0], workers=2, watch=interrupt)
+    assert wait_for(lambda: set(multiprocessing.active_children()) <= before, 10) and held
 
 
 @pytest.mark.process

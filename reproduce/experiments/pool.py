@@ -1,6 +1,7 @@
 """Work on many scenes, one scene a job, in as many processes as there are cores."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 from gymnasium.error import DependencyNotInstalled
@@ -83,5 +84,5 @@ def map_scenes(
     Raises:
         RunFailedError: When a worker was killed or crashed.
     """
-    answers = map_in_processes(function, seeds, workers, initializer, arguments)
-    return list(tqdm(answers, total=len(seeds), unit="scene", desc=title, disable=quiet))
+    bar = partial(tqdm, unit="scene", desc=title, disable=quiet)
+    return map_in_processes(function, seeds, workers, initializer, arguments, bar)

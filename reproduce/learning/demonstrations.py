@@ -173,7 +173,7 @@ def play_back(
         played = list(map(_play, everything))
         _STATE.pop("env").close()
     else:
-        played = list(map_in_processes(_play, everything, workers, _prepare, how))
+        played = map_in_processes(_play, everything, workers, _prepare, how)
     failed = sum(one is None for one in played)
     if failed:
         raise UserError(f"demonstrations: {failed} of {len(played)} do not end in a rescue when they are played back")

@@ -13,8 +13,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -93,13 +93,19 @@ def map_in_processes(
     workers: int | None = None,
     prepare: Callable[..., object] | None = None,
     arguments: tuple[Any, ...] = (),
-) -> Iterator[Result]:
-    """Yield ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
+    watch: Callable[[Sequence[Future[Result]]], Iterable[Future[Result]]] = iter,
+) -> list[Result]:
+    """Return ``job(item)`` for each item, in order, from worker processes that no interruption leaves behind.
 
     There is one worker a core unless ``workers`` says how many; each first calls ``prepare(*arguments)``. What crosses
-    over can be pickled. A worker that was killed or crashed is a ``RunFailedError``. Modules of ``job`` and ``prepare``
-    are imported once for all workers; for others call ``start_fork_server`` before.
+    over can be pickled. Modules of ``job`` and ``prepare`` are imported once for all workers; for others call
+    ``start_fork_server`` before. ``watch``, such as a progress bar, passes the answers to come on one by one.
+
+    Raises:
+        RunFailedError: A worker was killed or crashed.
     """
+    # Not a generator: one that is interrupted outside of itself, in a progress bar, is closed some time later, and
+    # before it is, the interpreter's end waits for every job that is left.
     context, running = multiprocessing.get_context("forkserver"), set(multiprocessing.active_children())
     with ExitStack() as stack:
         try:
@@ -108,8 +114,7 @@ def map_in_processes(
                 count = workers or len(os.sched_getaffinity(0))
                 pool = stack.enter_context(ProcessPoolExecutor(count, context, _begin, (prepare, arguments)))
                 answers = [pool.submit(job, item) for item in items]
-            for answer in answers:
-                yield answer.result()
+            return [answer.result() for answer in watch(answers)]
         except BaseException as error:
             # Jobs are not cancelled but lose their workers: in Python 3.11 a pool that breaks with cancelled jobs in
             # it ends in an InvalidStateError of its own.
