@@ -18,7 +18,7 @@ from reproduce.hrl_dcs.config import HierarchicalConfig, HierarchicalPolicyConfi
 from reproduce.hrl_dcs.policy import HierarchicalPolicy, load_hierarchical_policy, network_sizes
 from reproduce.hrl_dcs.subgoals import MILESTONES, SHARED_TERMS, arm_ends
 from reproduce.learning.networks import NetworkSpec
-from reproduce.learning.policy import Actions, Observations
+from reproduce.learning.policy import Actions, Observations, begin_episode
 from reproduce.storage.files import read_json
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.records import from_dict
@@ -169,8 +169,7 @@ def follow(folder: Path, first_seed: int, tries: int = TRIES) -> Trace:
 
 def _act_out(env: LunarRescueEnv, policy: ObservedPolicy, config: HierarchicalConfig, scene: Scene) -> Trace:
     """Act one rescue out and note everything."""
-    observation, info = env.reset_flat(options={"scene": scene})
-    start, done = np.array([True]), False
+    observation, start, done = begin_episode(env, policy, scene), np.array([True]), False
     rows: list[dict[str, float]] = []
     seen: dict[str, list[NDArray[Any]]] = {key: [] for key in ("commands", "subgoals", "actions", "outputs")}
     while not done:

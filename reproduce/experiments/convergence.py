@@ -24,6 +24,7 @@ from lunar_rescue.physics.solver import CONTROL_STEP, SETTINGS, SolverSettings
 from reproduce.baselines.planner.planner import RescuePlanner
 from reproduce.experiments.evaluate import find_policy
 from reproduce.experiments.pool import map_scenes, scene_seeds
+from reproduce.learning.policy import begin_episode
 from reproduce.storage.files import check_writable, locked
 from reproduce.storage.paths import COMMITTED
 from reproduce.storage.provenance import write_table
@@ -76,15 +77,13 @@ def _test(seed: int, actors: Sequence[str]) -> list[dict[str, Any]]:
     for actor in actors:
         for name, env in _STATE["environments"].items():
             policy = _STATE["policies"].get(actor)
-            if policy is not None and hasattr(policy, "reseed"):
-                policy.reseed(seed)
             rows.append({"actor": actor, "setting": name, "seed": seed, **_run(env, scene, policy, plan)})
     return rows
 
 
 def _run(env: LunarRescueEnv, scene: Scene, policy: Any, plan: Actions) -> dict[str, Any]:
     """Act one scene out and return how it ended, overlaps of arm and body, and what a step took."""
-    observation, _ = env.reset_flat(options={"scene": scene})
+    observation = begin_episode(env, policy, scene) if policy else env.reset_flat(options={"scene": scene})[0]
     info: dict[str, Any] = {}
     start, overlaps, seconds, done = np.array([True]), [], 0.0, False
     replayed: Iterator[Actions] = iter(plan)

@@ -19,7 +19,7 @@ from lunar_rescue.scenes.sampling import easy_scene
 from reproduce.experiments.methods import METHODS, Method, check_actor, load_policy
 from reproduce.experiments.pool import known_simulator, map_scenes, scene_seeds
 from reproduce.experiments.rows import as_table, rows_path, summarise, write_rows
-from reproduce.learning.policy import Policy
+from reproduce.learning.policy import Policy, begin_episode
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, write_json
 from reproduce.storage.processes import start_fork_server
@@ -51,9 +51,7 @@ def act_out(
     env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any
 ) -> Iterator[tuple[NDArray[np.float32], float, dict[str, Any]]]:
     """Act out one rescue; yield action (11,), reward and info of each step. ``options`` are more of the reset."""
-    observation, _ = env.reset_flat(options={"scene": scene, **options})
-    if hasattr(policy, "prepare"):  # the planner knows the scene
-        policy.prepare(scene)
+    observation = begin_episode(env, policy, scene, **options)
     start, done = np.array([True]), False
     while not done:
         action = policy.act(observation[None], start)[0]
@@ -120,8 +118,6 @@ def _prepare(where: str, ablation: str | None, simulator: str, plans_of: str | N
 
 
 def _test(seed: int, easy: bool) -> dict[str, Any]:
-    if hasattr(_STATE["policy"], "reseed"):
-        _STATE["policy"].reseed(seed)
     return run_episode(_STATE["env"], _STATE["policy"], easy_scene(seed) if easy else sample_scene(seed))
 
 

@@ -65,8 +65,6 @@ def _rescue(seed: int) -> list[dict[str, Any]]:
     """Act one scene out on each kind of state and return a row each."""
     scene, policy, rows = sample_scene(seed), _STATE["policy"], []
     for state in STATES:
-        if hasattr(policy, "reseed"):
-            policy.reseed(seed)
         if state == ESTIMATED:
             row = run_episode(_STATE["env"], policy, scene)
         else:

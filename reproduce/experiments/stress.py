@@ -68,8 +68,6 @@ def _test(seed: int, tried: tuple[Condition, ...]) -> list[dict[str, Any]]:
     for condition in tried:
         disturbed = condition.severity in SEVERITIES
         what = disturbance(scene, condition.kind, condition.severity) if disturbed else NOTHING
-        if hasattr(policy, "reseed"):
-            policy.reseed(seed)
         row = run_episode(_STATE["environments"][condition.simulator], policy, scene, disturbance=what)
         rows.append({"method": _STATE["method"], **row, **condition._asdict()})
     return rows

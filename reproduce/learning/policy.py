@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunar_rescue import LunarRescueEnv, Scene
 from lunar_rescue.physics.robot import JOINTS
 from reproduce.learning.actions import environment_actions
 from reproduce.learning.config import PolicyConfig
@@ -30,6 +31,17 @@ class Policy(Protocol):
     def overlay(self) -> dict[str, NDArray[Any]]:
         """Return what the method wants drawn into a picture, such as sub-goals in the base frame (n, 2, 3) [m]."""
         return {}  # most methods aim at no point in space
+
+
+def begin_episode(env: LunarRescueEnv, policy: Policy, scene: Scene, **options: Any) -> Observations:
+    """Reset an environment to a scene and return the flat observation (SIZE,); ``options`` are more of the reset.
+
+    A policy that knows the scene, as the planner does, is told it, and one that draws at random begins at its seed.
+    """
+    observation: Observations = env.reset_flat(options={"scene": scene, **options})[0]
+    for name, what in (("prepare", scene), ("reseed", scene.seed)):
+        getattr(policy, name, lambda _: None)(what)
+    return observation
 
 
 class MirroredPolicy(Policy):

@@ -15,7 +15,7 @@ from lunar_rescue.observation import SLICES
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.seeing import SeeingEnv
-from reproduce.learning.policy import Policy
+from reproduce.learning.policy import Policy, begin_episode
 from reproduce.storage.files import write_atomically
 
 IN_VIEW = 4  # px, a rock that shows fewer is not expected to be found
@@ -103,10 +103,7 @@ def rollouts(env: SeeingEnv, policies: Sequence[Policy], seeds: Iterable[int]) -
     frames = []
     for number, seed in enumerate(seeds):
         policy, rng = policies[number // 2 % len(policies)], np.random.default_rng([seed, 21])
-        scene, done = sample_scene(seed), False
-        observation, _ = env.reset_flat(options={"scene": scene})
-        for name, argument in (("prepare", scene), ("reseed", seed)):
-            getattr(policy, name, lambda _: None)(argument)
+        observation, done = begin_episode(env, policy, sample_scene(seed)), False
         while not done:
             frames.append(label(env))
             seen = observation if observation[SLICES["P_P"]].any() else env.truth

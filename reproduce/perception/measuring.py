@@ -13,7 +13,7 @@ from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.observation import SLICES
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
-from reproduce.learning.policy import Policy
+from reproduce.learning.policy import Policy, begin_episode
 from reproduce.perception.estimator import EstimatedEnv
 from reproduce.perception.frames import OUT_OF_VIEW, rock_spots
 
@@ -83,9 +83,7 @@ def first_picture(env: EstimatedEnv, seed: int) -> dict[str, Any]:
 def rescue_pictures(env: EstimatedEnv, policy: Policy, seed: int) -> list[dict[str, Any]]:
     """Act out a rescue on estimates and return a row a picture."""
     scene, done, rows = sample_scene(seed), False, []
-    observation, _ = env.reset_flat(options={"scene": scene})
-    for name, argument in (("prepare", scene), ("reseed", seed)):
-        getattr(policy, name, lambda _: None)(argument)
+    observation = begin_episode(env, policy, scene)
     while not done:
         right, hidden = env.estimator.posture.name == scene.posture, env.head.hidden(env.episode)
         place = {"seed": seed, "step": env.episode.steps, "hidden": hidden, "right": right}
