@@ -21,6 +21,7 @@ from reproduce.hrl_dcs.config import GoalConfig
 from reproduce.hrl_dcs.hindsight import commanded, lln_example, reached, sgn_examples
 from reproduce.hrl_dcs.policy import HighLevel
 from reproduce.hrl_dcs.subgoals import RescueGoals
+from reproduce.learning import playback_files
 from reproduce.learning.actions import LARGEST_CHANGE, to_environment, to_outputs
 from reproduce.learning.config import ImitationConfig, PriorConfig
 from reproduce.learning.demonstrations import (
@@ -32,6 +33,7 @@ from reproduce.learning.demonstrations import (
 )
 from reproduce.learning.imitation import Example, Imitation, evaluate, imitation_losses
 from reproduce.learning.networks import Memory, NetworkSpec
+from reproduce.learning.playback_files import play_back_once
 from reproduce.storage.errors import UserError
 
 Floats = np.ndarray
@@ -141,6 +143,31 @@ def test_a_rescue_is_played_back_as_it_was_seen(rescues: list[Demonstration], en
     cut = replace(rescues[0], actions=rescues[0].actions[:-1], wanted=rescues[0].wanted[:-1])
     with pytest.raises(UserError, match="1 of 1 do not end in a rescue"):
         play_back([cut], weights=RewardWeights(), workers=1)
+
+
+def test_demonstrations_are_played_back_once_for_a_view(
+    rescues: list[Demonstration], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = {"weights": RewardWeights(), "gamma": 0.5, "mirrored": True}
+    first, seconds = play_back_once(tmp_path, rescues, **view)
+    assert seconds > 0
+
+    def play_again(*args: Any, **kwargs: Any) -> list[PlayedBack]:
+        raise RuntimeError("played again")
+
+    monkeypatch.setattr(playback_files, "play_back", play_again)
+    again, counted = play_back_once(tmp_path, rescues, **view)
+    assert counted == seconds and len(again) == len(first)
+    for one, other in zip(first, again, strict=True):
+        for name, value in vars(one).items():
+            np.testing.assert_array_equal(value, getattr(other, name), strict=True)
+    (file,) = tmp_path.glob("played_*.safetensors")
+    for changed_view, some in ((view | {"gamma": 0.9}, rescues), (view, rescues[:1])):
+        with pytest.raises(RuntimeError, match="played again"):
+            play_back_once(tmp_path, some, **changed_view)
+    file.write_bytes(file.read_bytes()[:-100])
+    with pytest.raises(RuntimeError, match="played again"):
+        play_back_once(tmp_path, rescues, **view)
 
 
 @pytest.mark.process

@@ -25,6 +25,7 @@ from reproduce.experiments.methods import Method, check_run_folder
 from reproduce.experiments.recover import recoveries
 from reproduce.learning.config import TrainingConfig
 from reproduce.learning.demonstrations import play_back
+from reproduce.learning.playback_files import play_back_once
 from reproduce.learning.training import Training
 from reproduce.learning.worker_process import WorkerError
 from reproduce.storage.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -183,12 +184,12 @@ class _Run:
         config: Any = self.config  # only those that imitate have demonstrations
         path = RESULTS / "scratch" / f"demonstrations_{config.imitation.scenes}.safetensors"
         rescues, made = demonstrate(config.imitation.scenes, path, tell=lambda line: None, quiet=self.quiet, wait=True)
-        begun = time.monotonic()
         seen = {"weights": config.reward, "gamma": config.discount, "mirrored": config.priors.mirror}
         seen["places"] = config.seen_places
         rows: list[dict[str, Any]] = []
         about = {"scenes": config.imitation.scenes, "rescues": len(rescues)}
-        played = play_back(rescues, **seen)
+        played, waited = play_back_once(path.parent, rescues, **seen)
+        begun = time.monotonic() - waited
         for turn in range(config.imitation.recoveries + 1):
             if turn:
                 save_policy(self.folder, self.method.name, training.networks(), config.policy)
