@@ -93,11 +93,11 @@ def test_every_setting_says_where_it_comes_from() -> None:
     assert (buffer["sac"], buffer["sac_large_buffer"], buffer["fun"]) == (50_000, 1_000_000, "")
     # Those that only imitate take no steps of their own; all others take as many as each other.
     taken = {str(key): value for key, value in steps.items() if key != "where from"}
-    assert {value for key, value in taken.items() if not key.endswith("_demos")} == {5_000_000}
+    assert {value for key, value in taken.items() if not key.endswith("_demos")} == {3_000_000}
     assert {key: value for key, value in taken.items() if key.endswith("_demos")} == {
         "hrl_dcs_demos": 0,
         "ppo_lstm_demos": 0,
-        "sac_demos": 5_000_000,
+        "sac_demos": 3_000_000,
     }
 
 
