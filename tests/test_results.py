@@ -97,7 +97,7 @@ def test_every_setting_says_where_it_comes_from() -> None:
     assert {key: value for key, value in taken.items() if key.endswith("_demos")} == {
         "hrl_dcs_demos": 0,
         "ppo_lstm_demos": 0,
-        "sac_demos": 3_000_000,
+        "sac_demos": 600_000,
     }
 
 

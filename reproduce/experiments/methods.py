@@ -132,8 +132,9 @@ class Method:
 
 _CHOSEN = {method: TRIALS[method][trial] for method, trial in CHOSEN.items()}
 _TWO_LAYERS = partial(Method, parts=_two_layers)
-#: Of methods that begin from demonstrations, which end with imitation as long as nothing after it helps.
-_IMITATION: Changes = {"priors.demonstrations": True, "steps": 0}
+_DEMONSTRATIONS: Changes = {"priors.demonstrations": True, "priors.way_in": True}
+#: Of recurrent methods that begin from demonstrations: they end with imitation, as nothing after it helped them.
+_IMITATION: Changes = {**_DEMONSTRATIONS, "steps": 0}
 _SAC = partial(Method, parts=_sac)
 METHODS: dict[str, Method] = {
     m.name: m
@@ -191,7 +192,7 @@ METHODS: dict[str, Method] = {
             "Off-policy, demonstrations",
             "flat TD3 with the planner's rescues in its buffer, after imitating them; not in the paper",
             _sac_demos,
-            changes={"priors.demonstrations": True, "imitation.epochs": 25},
+            changes={**_DEMONSTRATIONS, "imitation.epochs": 25, "off_policy.hidden_units": 512, "steps": 600_000},
         ),
         Method("scripted", "Script with IK", "inverse kinematics and way-points, no learning", _scripted, learns=False),
         Method(
