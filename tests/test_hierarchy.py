@@ -65,6 +65,8 @@ def test_sgn_s_outputs_are_the_sub_goal(env: LunarRescueEnv) -> None:
     view = goals.view(row, ends + far, np.ones(1, np.float32))
     assert view.shape == (1, SIZE + 6) and view[0, :SIZE] == pytest.approx(row[0])
     assert view[0, SIZE:] == pytest.approx((ends + far)[0])
+    moving = RescueGoals(GoalConfig(seen="way"), PriorConfig()).view(row, ends + far, np.ones(1, np.float32))
+    assert moving[0, SIZE:] == pytest.approx(far[0], abs=1e-6)
     box = RescueGoals(GoalConfig(frame="box"), PriorConfig())
     assert box.subgoals(np.zeros((1, 6), np.float32))[0] == pytest.approx([0.7, 0.0, 0.6] * 2)
     assert box.subgoals(np.ones((1, 6), np.float32))[0] == pytest.approx([1.3, 0.9, 1.2] * 2)

@@ -86,10 +86,11 @@ class RescueGoals(PlainGoals):
         return np.sqrt(np.einsum("nak,nak->na", way, way))
 
     def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """Return what LLN sees, s_t with a_{t-1}, and g_t, (n, view_size); see ``PriorConfig.joint_step``."""
-        seen = [observations, subgoals]
+        """Return what LLN sees, s_t with a_{t-1}, and g_t, (n, view_size); see ``GoalConfig`` and ``PriorConfig.joint_step``."""
+        way = subgoals - arm_ends(observations)
+        seen = [observations, way if self.config.seen == "way" else subgoals]
         if self.priors.joint_step:
-            seen.append(joint_step(observations, subgoals - arm_ends(observations), self.config))
+            seen.append(joint_step(observations, way, self.config))
         return np.concatenate(seen, axis=1).astype(np.float32)
 
     def shared_reward(self, venv: Any, observations: Floats) -> Floats:
