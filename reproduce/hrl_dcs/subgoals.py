@@ -86,7 +86,7 @@ class RescueGoals(PlainGoals):
         return np.sqrt(np.einsum("nak,nak->na", way, way))
 
     def view(self, observations: Floats, subgoals: Floats, remaining: Floats) -> Floats:
-        """Return what LLN sees, s_t with a_{t-1}, and g_t, (n, view_size); see ``GoalConfig`` and ``PriorConfig.joint_step``."""
+        """Return what LLN sees, s_t with a_{t-1}, and g_t, (n, view_size); see ``GoalConfig`` and ``joint_step``."""
         way = subgoals - arm_ends(observations)
         seen = [observations, way if self.config.seen == "way" else subgoals]
         if self.priors.joint_step:
