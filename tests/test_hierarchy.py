@@ -56,7 +56,7 @@ def test_sub_goal_points_agree_with_the_environment(env: LunarRescueEnv) -> None
 def test_sgn_s_outputs_are_the_sub_goal(env: LunarRescueEnv) -> None:
     row = env.reset_flat(options={"scene": sample_scene(1)})[0][None]
     ends, outputs = arm_ends(row), np.array([[1.0, 0.0, -0.5, -9.0, 0.25, 0.0]], np.float32)
-    goals = RescueGoals(GoalConfig(), PriorConfig())
+    goals = RescueGoals(GoalConfig(seen="place"), PriorConfig())
     goals.update(row, np.array([True]))
     assert (goals.subgoals(outputs) - ends)[0] == pytest.approx([0.3, 0.0, -0.15, -0.3, 0.075, 0.0], abs=1e-6)
     assert goals.outputs_of(goals.subgoals(outputs), ends)[0] == pytest.approx([1, 0, -0.5, -1, 0.25, 0], abs=1e-5)
@@ -65,7 +65,7 @@ def test_sgn_s_outputs_are_the_sub_goal(env: LunarRescueEnv) -> None:
     view = goals.view(row, ends + far, np.ones(1, np.float32))
     assert view.shape == (1, SIZE + 6) and view[0, :SIZE] == pytest.approx(row[0])
     assert view[0, SIZE:] == pytest.approx((ends + far)[0])
-    moving = RescueGoals(GoalConfig(seen="way"), PriorConfig()).view(row, ends + far, np.ones(1, np.float32))
+    moving = RescueGoals(GoalConfig(), PriorConfig()).view(row, ends + far, np.ones(1, np.float32))
     assert moving[0, SIZE:] == pytest.approx(far[0], abs=1e-6)
     box = RescueGoals(GoalConfig(frame="box"), PriorConfig())
     assert box.subgoals(np.zeros((1, 6), np.float32))[0] == pytest.approx([0.7, 0.0, 0.6] * 2)

@@ -151,7 +151,7 @@ METHODS: dict[str, Method] = {
             "hrl_dcs_demos",
             "HRL-DCS, demonstrations",
             "both layers imitate the planner's rescues by hindsight, LLN sees the joint step; not in the paper",
-            changes={**_IMITATION, "priors.joint_step": True},
+            changes={**_IMITATION, "priors.joint_step": True, "goals.seen": "place"},
         ),
         Method(
             "fun",

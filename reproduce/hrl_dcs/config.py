@@ -38,7 +38,7 @@ class GoalConfig:
     frame: Literal["displacement", "box"] = "displacement"
     # What LLN sees as g_t: the places, or the ways to them from where the ends are, as HIRO's goals move with the state
     # (Nachum et al. 2018); the paper leaves it open
-    seen: Literal["place", "way"] = "place"
+    seen: Literal["place", "way"] = "way"
     # Furthest that a displacement leads along each axis [m]: an end moves some 0.06 m a step at most
     reach: PositiveLength = 0.3
     # Damping of the joint step [m], where LLN sees one: of the order of the smallest errors that matter
