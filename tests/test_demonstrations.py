@@ -245,7 +245,7 @@ def _played(ends: Any, begin: int = 0) -> PlayedBack:
 def test_hindsight_sub_goals_are_where_the_arms_were_n_steps_later() -> None:
     ends = np.repeat(0.1 * np.arange(7)[:, None], 6, axis=1).astype(np.float32)  # 0.1 m a step
     assert reached(ends, 3)[:, 0] == pytest.approx([0.3, 0.3, 0.3, 0.6, 0.6, 0.6, 0.6])
-    goals = RescueGoals(GoalConfig(reach=0.5), PriorConfig())
+    goals = RescueGoals(GoalConfig(reach=0.5, seen="place"), PriorConfig())
     first, second, third = sgn_examples(goals, _played(ends, begin=4), 3)
     # From 0, 0.3 and 0.6 m to 0.3, 0.6 and 0.6 m (the end), in units of 0.5 m; then from 0.1 m on, and from 0.2 m.
     assert first.outputs[:, 0] == pytest.approx([0.6, 0.6, 0.0]) and first.returns == pytest.approx([0, 3, 6])
