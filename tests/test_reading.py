@@ -21,7 +21,7 @@ from reproduce.report.site import first_page
 from reproduce.storage.paths import NOTEBOOKS, ROOT
 
 CELL_LINES, CELL_WORDS, NOTEBOOK_WORDS = 6, 130, 750
-FIRST_PAGE_WORDS, README_WORDS = 450, 1_650
+FIRST_PAGE_WORDS, README_WORDS = 450, 1_100
 TOUR = ("01", "02", "03", "04", "05", "06", "07", "08", "09", "10")
 PATHS = [path for path in sorted(NOTEBOOKS.glob("*.ipynb")) if path.name[:2] in TOUR]
 _FIGURE = re.compile(r"\b(figures|drawings)\.\w+\(")
@@ -60,7 +60,8 @@ def test_the_first_page_and_the_readme_are_short(tmp_path: Path, run_folder: Cal
     assert "**HRL-DCS rescues 75.0 % [30.1, 95.4] of the test scenes here, where the paper reports 98.6 %." in page
     assert page.index("Does the paper hold?") < page.index("<img") < page.index("The claims") < page.index("## Run it")
     assert page.count("(06_claims.md)") == 8
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= README_WORDS
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")  # rows of tables come with evidence and are not prose
+    assert len(re.sub(r"^\|.*$", " ", readme, flags=re.MULTILINE).split()) <= README_WORDS
 
 
 def test_sentences_say_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
