@@ -145,3 +145,12 @@ def test_replays_are_small_and_one_moves(browser: Browser) -> None:
     assert faults == []
     assert shots[0] != shots[1], "nothing moved"
     tab.close()
+
+
+def test_search_works_on_pages_opened_from_files(browser: Browser) -> None:
+    tab, faults = open_page(browser, REPORT / "index.html", WIDTHS[1])
+    tab.fill("input[name=query]", "potential field")
+    tab.wait_for_selector(".md-search-result__link", timeout=30_000)
+    hits = tab.evaluate("[...document.querySelectorAll('.md-search-result__link')].map(a => a.href)")
+    assert faults == [] and any("02_reward_design" in hit for hit in hits)
+    tab.close()

@@ -45,14 +45,12 @@ def against_paper(results: Path = RESULTS) -> Figure:
     return figure
 
 
-def _legend(axis: Axes, **options: object) -> None:
-    """Put each label once under the axis."""
+def _legend(axis: Axes) -> None:
+    """Put each label once under the whole figure, where none is cut off."""
     handles, labels = axis.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
     if once:
-        axis.legend(
-            once.values(), once.keys(), loc="upper center", bbox_to_anchor=(0.4, -0.3), ncols=3, fontsize=9, **options
-        )
+        axis.figure.legend(once.values(), once.keys(), loc="outside lower center", ncols=3, fontsize=9)
 
 
 def differences(results: Path = RESULTS) -> Figure | None:

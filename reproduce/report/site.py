@@ -31,7 +31,8 @@ from reproduce.storage.files import write_text
 from reproduce.storage.paths import ROOT, notebook_files
 from reproduce.storage.provenance import provenance
 
-CONFIGURATION, STYLE = (Path(__file__).with_name(name) for name in ("mkdocs.yml", "style.css"))
+CONFIGURATION = Path(__file__).with_name("mkdocs.yml")
+SERVED = tuple(Path(__file__).with_name(name) for name in ("style.css", "iframe-worker.js"))  # as they stand
 DOCUMENTS = (
     *("environment", "library", "learners", "api", "training", "training_log", "assumptions", "statistics"),
     *("architecture", "extending", "cluster", "simulators", "reality_gap", "perception", "report"),
@@ -70,7 +71,8 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
         texts = _texts(pages, endings, runs, results, formulas)
         for file, text in texts.items():
             write_text(sources / file, text)
-        shutil.copyfile(STYLE, sources / STYLE.name)
+        for path in SERVED:
+            shutil.copyfile(path, sources / path.name)
         for picture in filter(Path.is_file, PICTURES):
             for folder in (sources, sources / "docs"):
                 shutil.copyfile(picture, folder / picture.name)

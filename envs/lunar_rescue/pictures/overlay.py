@@ -89,7 +89,8 @@ class _Pen:
 
     def __init__(self, draw: ImageDraw.ImageDraw, camera: Camera) -> None:
         self.draw, self.camera, self.width = draw, camera, max(1, round(camera.size[1] / 352))
-        self.font = ImageFont.load_default(12 * self.width)
+        self.text_size = 12 * self.width  # px
+        self.font = ImageFont.load_default(self.text_size)
 
     def _at(self, points: Array) -> Array:
         seen = self.camera.project(np.atleast_2d(points))
@@ -158,6 +159,8 @@ def _draw_caption(pen: _Pen, lines: list[str]) -> None:
     (width, height), step = pen.camera.size, 15 * pen.width
     top = height - step * len(lines) - 4 * pen.width
     pen.draw.rectangle((0, top, width, height), (0, 0, 0, 170))
+    widest = max(map(pen.font.getlength, lines))
+    size = pen.text_size * min(1.0, (width - 16 * pen.width) / widest)  # so that small pictures cut nothing off
     for index, line in enumerate(lines):
         place = (8 * pen.width, top + 2 * pen.width + index * step)
-        pen.draw.text(place, line, (240, 240, 240), font=pen.font)
+        pen.draw.text(place, line, (240, 240, 240), font=ImageFont.load_default(size))
