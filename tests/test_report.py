@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -125,6 +126,7 @@ def test_a_replay_is_one_small_file_without_network(tmp_path: Path) -> None:
     recording = record("random", 3)
     steps = recording.row["steps"]
     assert len(recording.moments) == steps + 1
+    assert recording.end.shape == (240, 320, 3) and np.ptp(recording.end) > 100, "a picture, not a plain colour"
     first, last = recording.moments[0], recording.moments[-1]
     assert any((first.links[link][0] != place).any() for link, (place, _) in last.links.items())
     write_replay(recording, tmp_path / "x.html")

@@ -145,8 +145,13 @@ def parameter_table(config: HierarchicalPolicyConfig, units: int) -> pd.DataFram
 
 def best_two_layer_run(results: Path = RESULTS) -> Run | None:
     """Return the reference run of two layers that rescues most often on test scenes, or None where there is none."""
-    runs = [run for run in reference_runs(results) if run.origin and run.method.startswith("hrl_dcs")]
-    return max(runs, key=lambda run: run.evaluation["success_rate"] if run.evaluation else -1.0, default=None)
+    return best_two_layers(reference_runs(results))
+
+
+def best_two_layers(runs: list[Run]) -> Run | None:
+    """Return the trained run of two layers that rescues most often on test scenes, or None where there is none."""
+    two_layers = [run for run in runs if run.origin and run.method.startswith("hrl_dcs")]
+    return max(two_layers, key=lambda run: run.evaluation["success_rate"] if run.evaluation else -1.0, default=None)
 
 
 def follow(folder: Path, first_seed: int, tries: int = TRIES) -> Trace:

@@ -165,5 +165,5 @@ def first_page(runs: list[Run], results: Path, endings: dict[Clip, str], rules: 
         **{"claims": claims, "answer": answer(claims, results), "figures_of": figures_of, "colours": COLOURS},
         **{"rules": rules, "chart": CHART, "chart_alt": html.escape(" ".join(tell_success(results).split()))},
         **{"picture": MOVING if PICTURES[1].is_file() or best else None, "shown": shown, "replays": REPLAYS},
-        clip=next((clip for clip in endings if clip.file.startswith("hrl_dcs-") and "success" in clip.file), None),
+        clip=next((c for c in endings if best and c.file == f"{best.method}-{best.seed}-success.html"), None),
     )

@@ -13,16 +13,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as imageio
 import torch as th
 
 from lunar_rescue import Scene, sample_scene
 from lunar_rescue.physics.engines import DEFAULT
 from lunar_rescue.physics.robot import CONTROL_STEP
 from lunar_rescue.pictures.actors import Actors, Moment, Spectator
+from lunar_rescue.pictures.camera import scene_camera
 from lunar_rescue.pictures.live import viser_server
+from lunar_rescue.pictures.rendering import Picture, Studio
 from lunar_rescue.pictures.stage import VisualShape
 from lunar_rescue.scenes.postures import postures
 from reproduce.analysis.runs import Run
+from reproduce.analysis.two_layers import best_two_layers
 from reproduce.experiments.evaluate import put_into
 from reproduce.experiments.methods import METHODS
 from reproduce.report.acting import FRAMES_PER_SECOND, LAST_SECONDS, act_out, ending, load_policy_and_scene
@@ -33,6 +37,7 @@ from reproduce.storage.processes import map_in_processes
 BEGIN = 0.3  # s that the first picture stays
 MOST_SCENES = 3000  # looked through for a posture
 LARGEST = 5_000_000  # bytes of a page; what is larger nobody waits for
+THUMBNAIL = (320, 240)  # px
 #: What stands over a replay: what its colours mean, and the way back.
 _LEGEND = (
     "Balls that shine through: target areas, blue for arm A, orange for arm B; green: sub-goals. Lines: arm ends to "
@@ -53,6 +58,7 @@ class Recording:
     robot: list[VisualShape]  # what of the robot is seen
     moments: list[Moment]  # one a step and one of the end
     row: dict[str, Any]  # how it ended, as from ``run_episode``
+    end: Picture  # what the end looked like, of size ``THUMBNAIL``
 
 
 def record(
@@ -61,9 +67,10 @@ def record(
     """Act one rescue out and note where everything is; see ``acting.load_policy_and_scene``."""
     policy, scene = load_policy_and_scene(where, seed, posture, task)
     moments: list[Moment] = []
-    with closing(put_into(simulator, policy)) as env, closing(Spectator()) as spectator:
+    with closing(put_into(simulator, policy)) as env, closing(Spectator()) as spectator, closing(Studio()) as studio:
         row = act_out(env, policy, scene, lambda *what: moments.append(spectator.look(env.episode, *what)[0]))
-    return Recording(scene, spectator.robot, moments, row)
+        end = studio.picture(env.episode, scene_camera(scene, THUMBNAIL))
+    return Recording(scene, spectator.robot, moments, row, end)
 
 
 def write_replay(recording: Recording, out: Path) -> None:
@@ -105,9 +112,17 @@ class Clip:
     seed: int  # of the scene
     file: str  # name of its page
 
+    @property
+    def thumbnail(self) -> str:
+        """The name of the picture of its end, beside the page."""
+        return f"{Path(self.file).stem}.jpg"
+
 
 def choose_clips(runs: list[Run]) -> list[Clip]:
-    """Choose a success and a failure of each evaluated run, and a rescue of each posture by HRL-DCS, or the script."""
+    """Choose a success and a failure of each evaluated run, and a scene of each posture.
+
+    Postures are shown by the two layers that rescue most often, or by the script where no run has two layers.
+    """
     clips = []
     for run, rows in ((run, rows) for run in runs if (rows := run.rows()) is not None):
         title = METHODS[run.method].title + (f", seed {run.seed}" if run.origin else "")
@@ -115,8 +130,8 @@ def choose_clips(runs: list[Run]) -> list[Clip]:
             for seed in rows["seed"][rows["success"] == success].head(1).tolist():
                 name = f"{run.method}-{run.seed}-{word}.html"
                 clips.append(Clip(title, f"{word}: scene {seed}", _where(run), seed, name))
-    hrl_dcs = next((run for run in runs if run.method == "hrl_dcs" and run.origin), None)
-    where, who = (_where(hrl_dcs), METHODS["hrl_dcs"].title) if hrl_dcs else ("scripted", METHODS["scripted"].title)
+    best = best_two_layers(runs)
+    where, who = (_where(best), METHODS[best.method].title) if best else ("scripted", METHODS["scripted"].title)
     missing = set(postures())
     for seed in range(MOST_SCENES):
         scene = sample_scene(seed)
@@ -143,4 +158,5 @@ def make_clips(clips: list[Clip], folder: Path) -> dict[Clip, str]:
 def _make(clip: Clip, folder: Path) -> str:
     recording = record(clip.where, clip.seed)
     write_replay(recording, folder / clip.file)
+    imageio.imwrite(folder / clip.thumbnail, recording.end, quality=80)
     return f"{ending(recording.row)} after {recording.row['steps'] * CONTROL_STEP:.1f} s"
