@@ -195,12 +195,8 @@ class SacTraining(Training):
 
     def networks(self) -> dict[str, tuple[SacSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
-        return {
-            LEVEL: (
-                SacSpec(view_size(self.config.seen_places), JOINTS, self.config.sac.hidden_units),
-                self.learner.actor,
-            )
-        }
+        units = self.config.sac.hidden_units
+        return {LEVEL: (SacSpec(view_size(self.config.seen_places), JOINTS, units), self.learner.actor)}
 
 
 class SacPolicy(MirroredPolicy):

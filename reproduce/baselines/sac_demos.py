@@ -109,12 +109,8 @@ class SacDemosTraining(Training):
 
     def networks(self) -> dict[str, tuple[ActorSpec, Actor]]:
         """Return the actor with its sizes; see ``Training``."""
-        return {
-            LEVEL: (
-                ActorSpec(view_size(self.config.seen_places), JOINTS, self.config.off_policy.hidden_units),
-                self.learner.actor,
-            )
-        }
+        units = self.config.off_policy.hidden_units
+        return {LEVEL: (ActorSpec(view_size(self.config.seen_places), JOINTS, units), self.learner.actor)}
 
 
 def load_sac_demos_policy(folder: Path) -> SacPolicy:
