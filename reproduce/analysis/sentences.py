@@ -10,7 +10,7 @@ import pandas as pd
 from reproduce.analysis.claims import Claim, compute_claims
 from reproduce.analysis.runs import Run
 from reproduce.analysis.tables import by_condition, paired_differences
-from reproduce.analysis.trainings import percent, read_pools, smooth, steps_to
+from reproduce.analysis.trainings import Pool, percent, read_pools, smooth, steps_to
 from reproduce.experiments.methods import METHODS
 from reproduce.storage.paths import RESULTS
 
@@ -150,10 +150,18 @@ def answer(claims: Sequence[Claim], results: Path = RESULTS) -> list[str]:
     """Say in two sentences whether the paper held."""
     counts = Counter(claim.verdict for claim in claims)
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
-    pool = read_pools(results).get("hrl_dcs")
+    pools = {name: pool for name, pool in read_pools(results).items() if pool.runs[0].origin}
+    pool = pools.get("hrl_dcs")
     first = f"Of the paper's {len(claims)} claims, these are the verdicts so far: {verdicts}."
     if pool is None:
         return [first, "No HRL-DCS policy of this version of the environment has been trained and tested yet."]
-    rate = percent(pool.rows["success"].mean(), pool.interval)
     paper = 100 * (METHODS["hrl_dcs"].paper_success or 0.0)
-    return [f"HRL-DCS rescues {rate} of the test scenes here, where the paper reports {paper:.1f} %.", first]
+    found = f"HRL-DCS rescues {_rate(pool)} of the test scenes here, where the paper reports {paper:.1f} %"
+    best = max(pools.values(), key=lambda pool: pool.success[0])
+    if best is not pool:
+        found += f"; the best that was trained here ({METHODS[best.method].title}) rescues {_rate(best)}"
+    return [f"{found}.", first]
+
+
+def _rate(pool: Pool) -> str:
+    return percent(pool.rows["success"].mean(), pool.interval)

@@ -26,6 +26,7 @@ from reproduce.analysis import perceived, reality_gap
 from reproduce.analysis.claims import compute_claims
 from reproduce.analysis.rule_tables import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
+from reproduce.analysis.sentences import answer
 from reproduce.analysis.tables import readable_differences, readable_table1
 from reproduce.bench.training import BATCHES
 from reproduce.experiments.workflow.plan import REPORT, TABLES
@@ -61,7 +62,8 @@ def _readme() -> dict[str, Any]:
     return {
         "table1": readable_table1(),
         "differences": readable_differences(),
-        "claims": compute_claims(),
+        "claims": (claims := compute_claims()),
+        "answer": answer(claims),
         "runs": runs_of("hrl_dcs"),
         "without_folder": lambda command: re.sub(r" --out \S+", "", command),
         "trained": trained,
