@@ -1,6 +1,7 @@
 """Figures of the notebooks; each takes data and returns a Matplotlib figure."""
 
 import dataclasses
+import textwrap
 from collections.abc import Sequence
 from contextlib import closing
 
@@ -205,9 +206,9 @@ def success_by_posture(tested: dict[str, pd.DataFrame], title: str = "") -> Figu
     pairs = [(name, task) for name, posture in all_postures().items() for task in posture.tasks]
     rates = 100 * rates.reindex([pair for pair in pairs if pair in rates.index])
     rates.index = pd.Index([f"{posture} {task}".replace("_", " ") for posture, task in rates.index])
-    figure, axis = plt.subplots(figsize=(3.5 + 1.3 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
+    figure, axis = plt.subplots(figsize=(3.5 + 1.5 * rates.shape[1], 1.5 + 0.28 * len(rates)), layout="constrained")
     sns.heatmap(
-        rates.rename(columns=lambda run: run.replace(" ", "\n", 1)),
+        rates.rename(columns=lambda run: textwrap.fill(run, 14)),  # as many letters as a column is wide
         annot=True, fmt=".0f", vmin=0, vmax=100, cmap="viridis", cbar_kws={"label": "success [%]"}, ax=axis,
     )  # fmt: skip
     axis.set(title=title)
