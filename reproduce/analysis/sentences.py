@@ -10,7 +10,7 @@ import pandas as pd
 from reproduce.analysis.claims import Claim, compute_claims
 from reproduce.analysis.runs import Run
 from reproduce.analysis.tables import by_condition, paired_differences
-from reproduce.analysis.trainings import Pool, percent, read_pools, smooth, steps_to
+from reproduce.analysis.trainings import read_pools, smooth, steps_to
 from reproduce.experiments.methods import METHODS
 from reproduce.storage.paths import RESULTS
 
@@ -54,9 +54,7 @@ def tell_success(results: Path = RESULTS) -> str:
         paper = METHODS[name].paper_success
         beside = f", the paper {100 * paper:.1f} %" if paper else ""
         count = f"{len(pool.rows):,} tests of {len(pool.runs)} training{'s' if len(pool.runs) > 1 else ''}"
-        lines.append(
-            f"{METHODS[name].title}: {percent(pool.rows['success'].mean(), pool.interval)} of {count}{beside}."
-        )
+        lines.append(f"{METHODS[name].title}: {pool.rate_words} of {count}{beside}.")
     return "\n".join(lines) or NO_RUN
 
 
@@ -156,12 +154,8 @@ def answer(claims: Sequence[Claim], results: Path = RESULTS) -> list[str]:
     if pool is None:
         return [first, "No HRL-DCS policy of this version of the environment has been trained and tested yet."]
     paper = 100 * (METHODS["hrl_dcs"].paper_success or 0.0)
-    found = f"HRL-DCS rescues {_rate(pool)} of the test scenes here, where the paper reports {paper:.1f} %"
+    found = f"HRL-DCS rescues {pool.rate_words} of the test scenes here, where the paper reports {paper:.1f} %"
     best = max(pools.values(), key=lambda pool: pool.success[0])
     if best is not pool:
-        found += f"; the best that was trained here ({METHODS[best.method].title}) rescues {_rate(best)}"
+        found += f"; the best that was trained here ({METHODS[best.method].title}) rescues {best.rate_words}"
     return [f"{found}.", first]
-
-
-def _rate(pool: Pool) -> str:
-    return percent(pool.rows["success"].mean(), pool.interval)

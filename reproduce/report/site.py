@@ -19,7 +19,7 @@ from reproduce.analysis.comparison import choose_scene
 from reproduce.analysis.comparison_figures import against_paper
 from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.sentences import answer, figures_of, tell_success
-from reproduce.analysis.two_layers import best_two_layer_run
+from reproduce.analysis.two_layers import best_two_layers
 from reproduce.analysis.verdicts import LEAST_TRAININGS
 from reproduce.experiments.methods import METHODS
 from reproduce.report.cards import card
@@ -65,7 +65,7 @@ def build_report(notebooks: Path, results: Path, replays: bool = True) -> Path:
         pages = {path.stem: notebook_page(path) for path in outputs}
         clips = choose_clips(runs) if replays else []
         endings = make_clips(clips, sources / REPLAYS) if clips else {}
-        if replays and (best := best_two_layer_run(results)) is not None and best.rows() is not None:
+        if replays and (best := best_two_layers(runs)) is not None and best.rows() is not None:
             replay(*choose_scene(success=True, first_seed=0, results=results), sources / MOVING, size=SMALL)
         formulas: dict[str, str] = {}  # of the documents, by mark
         texts = _texts(pages, endings, runs, results, formulas)
@@ -156,7 +156,7 @@ def first_page(runs: list[Run], results: Path, endings: dict[Clip, str], rules: 
     ``rules`` is the page that has the rules of the verdicts, if the site has one.
     """
     trained, claims = [run for run in runs if run.origin and run.evaluation], compute_claims(results)
-    best = best_two_layer_run(results) if endings else None
+    best = best_two_layers(runs) if endings else None
     shown = f"{METHODS[best.method].title}, as trained here" if best and best.evaluation else KNOWS_ALL
     return render(
         "index.md",
