@@ -114,7 +114,10 @@ def map_in_processes(
                 count = workers or len(os.sched_getaffinity(0))
                 pool = stack.enter_context(ProcessPoolExecutor(count, context, _begin, (prepare, arguments)))
                 answers = [pool.submit(job, item) for item in items]
-            return [answer.result() for answer in watch(answers)]
+            watched = watch(answers)
+            # A bar left open stands on the line on which an interruption is told, and is drawn again after it.
+            stack.callback(getattr(watched, "close", lambda: None))
+            return [answer.result() for answer in watched]
         except BaseException as error:
             # Jobs are not cancelled but lose their workers: in Python 3.11 a pool that breaks with cancelled jobs in
             # it ends in an InvalidStateError of its own.
