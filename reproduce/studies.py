@@ -117,18 +117,26 @@ def stress(
     tests: console.Tests = 200,
     split: console.Split = None,
     first_seed: console.FirstSeed = None,
-    out: Annotated[Path | None, console.folder("folder to write; results/stress without it")] = None,
+    kinds: Annotated[
+        list[str] | None, typer.Option(help="a kind of disturbance, several times for several; none: simulators alone")
+    ] = None,
+    out: Annotated[
+        Path | None, console.folder("folder to write; results/stress, or results/transfer for simulators alone")
+    ] = None,
     json: console.JsonFile = None,
 ) -> None:
     """Measure success against noise, delay, errors and in the other simulator; writes METHOD.csv and METHOD.json."""
     from reproduce.experiments.methods import check_actor
 
     check_actor(run)
+    from reproduce.experiments import stress as study
     from reproduce.experiments.pool import first_scene
-    from reproduce.experiments.stress import FOLDER
-    from reproduce.experiments.stress import stress as measure
 
-    measure(run, tests, first_scene(split, first_seed, typer.echo), folder=out or FOLDER, json=json, tell=typer.echo)
+    tried = study.known_kinds(kinds)
+    place = out or (study.FOLDER if tried else study.TRANSFER)
+    study.stress(
+        run, tests, first_scene(split, first_seed, typer.echo), kinds=tried, folder=place, json=json, tell=typer.echo
+    )
 
 
 @perceive.command("train")
@@ -253,3 +261,19 @@ def tune(
     from reproduce.experiments.tuning import tune as run
 
     run(method, steps, tests, tell=typer.echo)
+
+
+@app.command()
+def vary(
+    group: Annotated[str, typer.Argument(help="ladder: priors one by one; fills: what the paper leaves open")],
+    only: Annotated[list[str] | None, typer.Option(help="a variant's name; several times for several")] = None,
+    steps: Annotated[int, typer.Option(min=1, help="environment steps of a training")] = 1_000_000,
+    tests: Annotated[int, typer.Option(min=1, help="validation scenes after each")] = 1000,
+) -> None:
+    """Train and test variants of hrl_dcs that were not yet; writes results/variants/GROUP/."""
+    from reproduce.experiments.presets import check_variants
+
+    check_variants(group, only or ())
+    from reproduce.experiments.variants import vary as run
+
+    run(group, only or (), steps, tests, tell=typer.echo)

@@ -20,7 +20,7 @@ NAME = re.compile(rf"`(?:[\w.-]+/)+[\w.-]*`|`\w+\.(?:{ENDINGS})`")
 #: What commands make, here or in a folder of a batch or a run, and what stands for a name: METHOD, seedK. Results of an
 #: environment version are not there before its trainings are.
 MADE = re.compile(
-    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded|reference|solvability|agreement|stress|perception)(/|$)"
+    r"(results/)?(notebooks|report|batch|scratch|logs|tables|timings|superseded|reference|solvability|agreement|stress|transfer|variants|perception)(/|$)"
     r"|(results/)?(bench(_\w+)?|claims|table1|timings|config|policy|run|evaluation)\.(json|csv)$|.*(METHOD|PRESET|NAME|DIR)\b"
 )
 

@@ -56,10 +56,14 @@ def test_sentences_are_computed(results: Path, tmp_path: Path) -> None:
 def test_tables_by_hand(results: Path) -> None:
     rows = gap.stress_rows(results)
     shown: Any = gap.readable_stress(rows)
-    assert shown.columns.tolist() == ["none", "low", "middle", "high"]
-    # Wilson's interval of 1 in 5, from a table.
-    assert shown.loc[("Script with IK", "actions that come late"), "middle"] == "20.0 % [3.6, 62.4]"
-    assert shown.loc[("Script with IK", "nothing, in mujoco"), "none"].startswith("60.0 % [")
+    assert shown.columns.tolist() == ["Script with IK", "Random actions"]
+    assert shown["Script with IK"].to_dict() == {
+        "nothing": "80.0 %",
+        "actions that come late, 2 steps": "20.0 %, 25 % kept",
+        "weak motors, 20 %": "80.0 %, 100 % kept",
+        "nothing, in mujoco": "60.0 %, 50 % kept",
+    }
+    assert shown["Random actions"].tolist() == ["0.0 %", "", "", ""]
     first, second = gap.simulators(rows[rows["method"] == "scripted"]) or (None, None)
     assert first is not None and second is not None
     table: Any = gap.transfer_table(first, second).set_index(["by", "group"])
@@ -76,6 +80,17 @@ def test_tables_by_hand(results: Path) -> None:
     assert gap.transfers(rows[rows["method"] == "random"]).empty
     with pytest.raises(UserError, match="the same scenes"):
         gap.transfer_table(first, second.iloc[::-1])
+
+
+def test_more_scenes_in_both_simulators_come_before_those_of_the_stress_tests(results: Path) -> None:
+    (results / "transfer").mkdir()
+    more = [row("none", "none", seed, True) for seed in range(9)]
+    more += [row("simulator", "none", seed, seed > 2) for seed in range(9)]
+    pd.DataFrame(more).to_csv(results / "transfer" / "scripted.csv", index=False)
+    rows = gap.simulator_rows(results)
+    assert rows.groupby("method").size().to_dict() == {"scripted": 18, "random": 5}
+    told: Any = gap.transfers(rows)
+    assert told.loc[("Script with IK", ""), ["tests", "first", "second"]].tolist() == [9, 9, 6]
 
 
 def test_severities_are_told_with_units() -> None:

@@ -119,7 +119,8 @@ def test_a_run_gets_the_evaluations_of_its_method(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(evaluations, "evaluate", pretend)
     evaluate_run(tmp_path / "random" / "seed0", 8, 4, tell=lambda words: None)
     assert calls == [("random", 8, 2_020_000_000, "evaluation.json"), ("random", 8, 2_030_000_000, "heldout.json")]
-    assert evaluations_of("hrl_dcs") == list(EVALUATIONS) and len(EVALUATIONS) == 5
+    names = ["evaluation", "heldout", "both_layers", "fixed_target", "untrained_lln"]
+    assert evaluations_of("hrl_dcs") == names and [*names, "validation"] == list(EVALUATIONS)
 
 
 def test_scenes_are_named_by_split_or_by_seed_and_final_ones_are_called_so() -> None:

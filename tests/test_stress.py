@@ -14,13 +14,13 @@ from command_line import call  # type: ignore[import-not-found]  # pytest puts t
 from untrained import untrained_policy  # type: ignore[import-not-found]
 
 from lunar_rescue import sample_scene
-from lunar_rescue.disturbances import NOTHING, disturbance
+from lunar_rescue.disturbances import KINDS, NOTHING, disturbance
 from lunar_rescue.disturbed import DisturbedEnv
 from lunar_rescue.scenes.splits import VALIDATION
 from reproduce.baselines.planner.planner import Plan, PlannerPolicy, RescuePlanner
 from reproduce.experiments import stress as module
 from reproduce.experiments.evaluate import find_policy, put_into, rescue_scenes, run_episode
-from reproduce.experiments.stress import COLUMNS, Condition, conditions, stress, summarise_stress
+from reproduce.experiments.stress import COLUMNS, Condition, conditions, known_kinds, stress, summarise_stress
 from reproduce.storage.errors import UserError
 
 SEED = VALIDATION.start
@@ -52,6 +52,13 @@ def test_a_summary_by_hand() -> None:
     )
     never = summarise_stress(pd.DataFrame([row("none", "none", 0, "timeout"), row("delay", "low", 0, None)]))
     assert [line["kept"] for line in never] == [None, None]
+
+
+def test_kinds_are_chosen_by_name() -> None:
+    assert known_kinds(None) == tuple(KINDS) and known_kinds(["none"]) == ()
+    assert known_kinds(["torque", "delay"]) == tuple(name for name in KINDS if name in ("delay", "torque"))
+    refused = call("stress", "scripted", "--kinds", "dely")
+    assert refused.code == 2 and "--kinds: expected none, or some of" in refused.complaint
 
 
 def test_each_kind_is_tried_at_three_severities_and_once_without(monkeypatch: pytest.MonkeyPatch) -> None:

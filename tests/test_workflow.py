@@ -17,7 +17,7 @@ import pytest
 from command_line import call  # type: ignore[import-not-found]  # pytest puts this folder on the path
 from sessions import alive  # type: ignore[import-not-found]
 
-from reproduce.experiments.evaluations import EVALUATIONS
+from reproduce.experiments.evaluations import evaluations_of
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.train import train_as_needed
 from reproduce.experiments.workflow.batch import LOCK, run_batch
@@ -43,7 +43,7 @@ def test_a_plan_has_a_step_for_each_file_and_round_trips(tmp_path: Path) -> None
     jobs = made.jobs()
     assert len({job.output for job in jobs}) == len(jobs)
     outputs = {str(job.output) for job in jobs}
-    assert {f"reference/hrl_dcs/seed3/{check}.json" for check in EVALUATIONS} <= outputs
+    assert {f"reference/hrl_dcs/seed3/{check}.json" for check in evaluations_of("hrl_dcs")} <= outputs
     assert "reference/fun/seed0/run.json" in outputs and "reference/random/seed0/evaluation.json" in outputs
     assert "reference/random/seed0/run.json" not in outputs and "reference/random/seed3/evaluation.json" not in outputs
     assert [job.rule for job in made.jobs("tables")][-1] == "tables" and jobs[-1].rule == "report"

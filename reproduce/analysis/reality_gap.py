@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from reproduce.storage.files import read_json
 from reproduce.storage.paths import RESULTS
 
 NO_STRESS = "No stress tests yet: `reproduce stress DIR` writes them to results/stress/."
-NO_PAIR = "No policy was tested in both simulators yet: `reproduce stress DIR` does so where MuJoCo is installed."
+NO_PAIR = "No policy was tested in both simulators yet: `reproduce stress DIR --kinds none`, where MuJoCo is installed."
 GROUPS = {"task": ["task"], "attitude": ["task", "attitude"], "posture": ["task", "posture"]}
 
 
@@ -35,15 +36,17 @@ def severities() -> pd.DataFrame:
     return pd.DataFrame(rows).set_index("kind")
 
 
-def stress_rows(results: Path = RESULTS) -> pd.DataFrame:
+def stress_rows(results: Path = RESULTS, folder: str = "stress") -> pd.DataFrame:
     """Return the rows of all stress tests, ``stress/METHOD.csv``, methods in the registry's order; may be empty.
+
+    With ``folder="transfer"`` they are those of the two simulators alone, on more scenes.
 
     Raises:
         UserError: On a file that is no table of stress tests, or another method's.
     """
     tables = []
     for name in METHODS:
-        path = results / "stress" / f"{name}.csv"
+        path = results / folder / f"{name}.csv"
         if not path.is_file():
             continue
         try:
@@ -67,36 +70,35 @@ def by_severity(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def readable_stress(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return success with Wilson's interval in words, a row a method and kind, a column a severity."""
-    columns = [NONE, *SEVERITIES]
-    table = [
-        {
-            "method": METHODS[line["method"]].title,
-            "kind": KINDS[line["kind"]].title if line["kind"] in KINDS else _plain(line["simulator"]),
-            "severity": line["severity"],
-            "success": "{:.1f} % [{:.1f}, {:.1f}]".format(
-                *(100 * line[key] for key in ("success_rate", "wilson_low", "wilson_high"))
-            ),
-        }
-        for line in by_severity(rows).to_dict("records")
-    ]
-    if not table:
-        return pd.DataFrame(columns=columns)
-    frame = pd.DataFrame(table)
-    wide = frame.pivot_table(
-        index=["method", "kind"], columns="severity", values="success", aggfunc="first", sort=False
-    )
-    return wide.reindex(columns=columns).astype(object).fillna("")
+    """Return success at the middle severity in words, and what share of the undisturbed rescues is kept.
+
+    A row a condition, a column a method; of the undisturbed tests, the first row, success alone.
+    """
+    cells: dict[str, dict[str, str]] = {}
+    for line in by_severity(rows).to_dict("records"):
+        if line["severity"] in (NONE, SEVERITIES[1]):
+            kept = "" if line["kind"] == NONE or pd.isna(line["kept"]) else f", {100 * line['kept']:.0f} % kept"
+            cells.setdefault(METHODS[line["method"]].title, {})[_condition(line)] = _rate(line) + kept
+    return pd.DataFrame(cells).fillna("").rename_axis("under")
 
 
-def _plain(simulator: str) -> str:
-    return "nothing" if simulator == DEFAULT else f"nothing, in {simulator}"
+def _condition(line: Mapping[Any, Any]) -> str:
+    """Return kind and severity in words."""
+    if line["kind"] in KINDS:
+        return f"{KINDS[line['kind']].title}, {line['level']:g} {line['unit']}"
+    return "nothing" if line["simulator"] == DEFAULT else f"nothing, in {line['simulator']}"
 
 
 def simulators(rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame] | None:
     """Return a method's undisturbed rows in the usual simulator and in the other one; None without the latter."""
     first, second = (rows[rows["kind"] == kind].reset_index(drop=True) for kind in (NONE, OTHER))
     return (first, second) if len(second) else None
+
+
+def simulator_rows(results: Path = RESULTS) -> pd.DataFrame:
+    """Return each method's undisturbed rows in both simulators: of ``transfer/``, where it has more, or ``stress/``."""
+    more, rows = stress_rows(results, "transfer"), stress_rows(results)
+    return pd.concat([more, rows[~rows["method"].isin(set(more["method"]))]], ignore_index=True)
 
 
 def transfer_table(first: pd.DataFrame, second: pd.DataFrame) -> pd.DataFrame:
@@ -154,13 +156,12 @@ def in_words(rows: pd.DataFrame) -> list[str]:
     return sentences or [NO_STRESS]
 
 
-def _rate(line: dict[str, Any]) -> str:
+def _rate(line: Mapping[Any, Any]) -> str:
     return f"{100 * line['success_rate']:.1f} %"
 
 
 def _kept(line: dict[str, Any]) -> str:
-    kind = KINDS[line["kind"]]
-    return f"{kind.title}, {line['level']:g} {kind.unit} ({100 * line['kept']:.0f} %)"
+    return f"{_condition(line)} ({100 * line['kept']:.0f} %)"
 
 
 def agreement(results: Path = RESULTS) -> pd.DataFrame:

@@ -115,8 +115,8 @@ def write_table1(results: Path = RESULTS) -> Path:
 def paired_differences(results: Path = RESULTS, to: str = "hrl_dcs", name: str = "evaluation") -> pd.DataFrame:
     """Return how much more often ``to`` rescues than each other method, on the same scenes, with 95 % intervals.
 
-    ``interval of`` says whether the interval is one of new trainings or of one training each, which says nothing of
-    others. ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
+    ``interval of`` says whether the interval is one of new trainings or of one training (each, where both learn), which
+    says nothing of others. ``name`` is ``evaluation`` for test scenes, ``heldout`` for held-out ones.
     """
     rows = [
         (f"{to} - {other.method}", f"{len(own.runs)}, {len(other.runs)}", len(own.scenes), *interval, of)
@@ -137,14 +137,15 @@ def _differences(results: Path, to: str, name: str) -> list[tuple[Pool, Pool, In
 def _difference(first: Pool, second: Pool) -> tuple[Interval, str]:
     if all(len(pool.runs) > 1 or not METHODS[pool.method].learns for pool in (first, second)):
         return success_difference(first.outcomes, second.outcomes), "trainings"
-    return paired_difference(first.outcomes[0], second.outcomes[0]), "one training each"
+    each = all(METHODS[pool.method].learns for pool in (first, second))
+    return paired_difference(first.outcomes[0], second.outcomes[0]), "one training each" if each else "one training"
 
 
 def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.DataFrame:
     """Return paired differences for people, in points, on test scenes and on held-out ones."""
     columns = {
         title: {
-            METHODS[other.method].title + (", one training each" if of == "one training each" else ""): (
+            METHODS[other.method].title + (f", {of}" if of.startswith("one") else ""): (
                 "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * value for value in interval))
             )
             for _, other, interval, of in _differences(results, to, name)

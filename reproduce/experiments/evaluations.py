@@ -12,6 +12,8 @@ from reproduce.hrl_dcs.config import ABLATIONS
 TESTS = {"smoke": (8, 4), "laptop": (1000, 200), "paper": (1000, 200)}
 #: The smaller evaluation that a two-layer policy's ablations are compared with.
 TWO_LAYERS = "both_layers"
+#: The evaluation by which variants are told apart; runs of the matrix need none.
+VALIDATED = "validation"
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,14 @@ EVALUATIONS = {
     "heldout": Evaluation(SPLITS["heldout"].start),
     TWO_LAYERS: Evaluation(SPLITS["test"].start, few=True),
     **{name: Evaluation(SPLITS["test"].start, few=True, ablation=name) for name in ABLATIONS},
+    VALIDATED: Evaluation(SPLITS["validation"].start),
 }
 
 
 def evaluations_of(method: str) -> list[str]:
     """Return the names of the evaluations that a run of this method has; ablations are HRL-DCS's alone."""
-    return list(EVALUATIONS) if method == "hrl_dcs" else ["evaluation", "heldout"]
+    names = [name for name in EVALUATIONS if name != VALIDATED]
+    return names if method == "hrl_dcs" else ["evaluation", "heldout"]
 
 
 def evaluate_run(

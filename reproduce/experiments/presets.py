@@ -1,7 +1,7 @@
 """Presets and tuning trials, which are data, and the configurations that they make of a method's class."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -29,6 +29,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 CHOSEN: dict[str, str] = _TRIALS.pop("chosen")
 #: What the tuning trials of each method change of a preset, by the trial's name; see ``changed``.
 TRIALS: dict[str, dict[str, dict[str, Any]]] = _TRIALS
+#: What the variants of ``hrl_dcs`` change of the preset ``laptop``, by group and the variant's name.
+VARIANTS: dict[str, dict[str, dict[str, Any]]] = _read("variants.toml")
 
 
 def check_preset(preset: str) -> None:
@@ -41,6 +43,14 @@ def check_tunable(method: str) -> None:
     """Refuse a method that has no tuning trials."""
     if method not in TRIALS:
         raise UserError(f"method: expected one with tuning trials, {', '.join(TRIALS)}; got {method!r}")
+
+
+def check_variants(group: str, names: Sequence[str] = ()) -> None:
+    """Refuse a group of variants, or a name in it, that is not there."""
+    if group not in VARIANTS:
+        raise UserError(f"group: expected one of {', '.join(VARIANTS)}; got {group!r}")
+    if unknown := set(names) - set(VARIANTS[group]):
+        raise UserError(f"--only: expected one of {', '.join(VARIANTS[group])}; got {min(unknown)!r}")
 
 
 def configuration(kind: type[Config], preset: str, changes: Changes) -> Config:

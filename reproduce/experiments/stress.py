@@ -7,7 +7,7 @@ does so without looking, in either simulator.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,11 +23,13 @@ from lunar_rescue.scenes.splits import split_of
 from reproduce.experiments.evaluate import find_policy, run_episode
 from reproduce.experiments.pool import map_scenes, scene_seeds
 from reproduce.experiments.rows import wilson
+from reproduce.storage.errors import UserError
 from reproduce.storage.files import check_writable, locked, write_json
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.provenance import provenance, write_table
 
 FOLDER = RESULTS / "stress"
+TRANSFER = RESULTS / "transfer"  # the same without a disturbance, on more scenes: the two simulators alone
 NONE, OTHER = "none", "simulator"  # the kinds that disturb nothing: as always, and in another simulator
 COLUMNS = ["method", "kind", "severity", "seed", "task", "posture", "attitude", "success", "failure", "simulator"]
 MORE = ["both_arms_under", "steps", "gentle"]  # further columns of the rows
@@ -41,6 +43,17 @@ class Condition(NamedTuple):
     kind: str  # of ``KINDS``, ``NONE`` or ``OTHER``
     severity: str  # of ``SEVERITIES``, or ``NONE`` for those two
     simulator: str
+
+
+def known_kinds(names: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the kinds of these names, in their order in ``KINDS``: all without names, no kind of ``["none"]``.
+
+    Raises:
+        UserError: On a kind that is not there.
+    """
+    if unknown := [name for name in names or () if name not in (*KINDS, NONE)]:
+        raise UserError(f"--kinds: expected {NONE}, or some of {', '.join(KINDS)}; got {unknown[0]!r}")
+    return tuple(name for name in KINDS if not names or name in names)
 
 
 def conditions(kinds: tuple[str, ...] = tuple(KINDS)) -> list[Condition]:
