@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reproduce.analysis.runs import Run, reference_runs
+from reproduce.analysis.runs import PAPER_STEPS, Run, reference_runs
 from reproduce.analysis.tables import SPLIT_TITLES
 from reproduce.analysis.trainings import percent, steps_to
 from reproduce.experiments.evaluate import evaluate, rescue_scenes
@@ -19,7 +19,6 @@ from reproduce.experiments.train import train
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.records import to_dict
 
-PAPER_STEPS = 700_000_000  # at most, section 4.1
 TRIES = 20  # scenes among which one is looked for that ends as wanted
 
 

@@ -22,6 +22,7 @@ from reproduce.storage.errors import UserError
 from reproduce.storage.paths import REFERENCE, RESULTS
 from reproduce.storage.records import read_record
 
+PAPER_STEPS = 700_000_000  # at most, section 4.1
 _STRICT = with_config(ConfigDict(strict=True, allow_inf_nan=False, extra="allow"))
 
 

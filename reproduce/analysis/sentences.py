@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from reproduce.analysis.claims import Claim, compute_claims
-from reproduce.analysis.runs import Run
+from reproduce.analysis.runs import PAPER_STEPS, Run
 from reproduce.analysis.tables import by_condition, paired_differences
 from reproduce.analysis.trainings import read_pools, smooth, steps_to
 from reproduce.experiments.methods import METHODS
@@ -154,7 +154,12 @@ def answer(claims: Sequence[Claim], results: Path = RESULTS) -> list[str]:
     if pool is None:
         return [first, "No HRL-DCS policy of this version of the environment has been trained and tested yet."]
     paper = 100 * (METHODS["hrl_dcs"].paper_success or 0.0)
-    found = f"HRL-DCS rescues {pool.rate_words} of the test scenes here, where the paper reports {paper:.1f} %"
+    count, steps = len(pool.runs), max(run.env_steps for run in pool.runs) / 1e6
+    trained = f"{'one training' if count == 1 else f'{count} trainings'} of {steps:.0f} million steps"
+    found = (
+        f"HRL-DCS rescues {pool.rate_words} of the test scenes here, after {trained}, where the paper reports "
+        f"{paper:.1f} % after up to {PAPER_STEPS / 1e6:.0f} million"
+    )
     best = max(pools.values(), key=lambda pool: pool.success[0])
     if best is not pool:
         found += f"; the best that was trained here ({METHODS[best.method].title}) rescues {best.rate_words}"
