@@ -83,7 +83,7 @@ def test_a_small_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert plain[name].tolist() == [line[name] for line in expected], name
     late = rows[rows["kind"] == "delay"]["steps"].tolist()
     assert late != 3 * plain["steps"].tolist()
-    monkeypatch.setattr(module, "CHUNK", 2)
+    monkeypatch.setattr(module, "CHUNK", 17)  # two scenes of eight conditions, then one
     stress("scripted", 3, first, folder=tmp_path / "b", kinds=("delay", "torque"), tell=lambda _: None, quiet=True)
     assert (tmp_path / "a" / "scripted.csv").read_bytes() == (tmp_path / "b" / "scripted.csv").read_bytes()
     written = json.loads((tmp_path / "a" / "scripted.json").read_text())

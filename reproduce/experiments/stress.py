@@ -33,7 +33,7 @@ TRANSFER = RESULTS / "transfer"  # the same without a disturbance, on more scene
 NONE, OTHER = "none", "simulator"  # the kinds that disturb nothing: as always, and in another simulator
 COLUMNS = ["method", "kind", "severity", "seed", "task", "posture", "attitude", "success", "failure", "simulator"]
 MORE = ["both_arms_under", "steps", "gentle"]  # further columns of the rows
-CHUNK = 25  # scenes after which the files are written: what an interruption leaves tells of whole scenes
+CHUNK = 775  # rescues after which the files are written, rounded to whole scenes, of which an interruption leaves some
 _STATE: dict[str, Any] = {}
 
 
@@ -142,7 +142,8 @@ def stress(
         if path:
             check_writable(path)
     with locked(folder, "stress tests"):
-        parts = [seeds[start : start + CHUNK] for start in range(0, tests, CHUNK)]
+        size = max(1, CHUNK // len(tried))
+        parts = [seeds[start : start + size] for start in range(0, tests, size)]
         done: list[pd.DataFrame] = []
         for part in parts:
             done.append(_measure(where, part, tried, name, quiet))
