@@ -91,6 +91,10 @@ def test_more_scenes_in_both_simulators_come_before_those_of_the_stress_tests(re
     assert rows.groupby("method").size().to_dict() == {"scripted": 18, "random": 5}
     told: Any = gap.transfers(rows)
     assert told.loc[("Script with IK", ""), ["tests", "first", "second"]].tolist() == [9, 9, 6]
+    shown: Any = gap.readable_transfers(rows)["Script with IK"]
+    assert shown[["in PyBullet", "in MuJoCo"]].tolist() == ["100.0 %", "66.7 %"]
+    assert shown["difference, all"].startswith("-33.3 [") and shown["difference, lift"].startswith("-40.0 [")
+    assert gap.readable_transfers(rows[:0]).empty
 
 
 def test_severities_are_told_with_units() -> None:

@@ -19,6 +19,7 @@ from reproduce.storage.paths import RESULTS
 
 NO_STRESS = "No stress tests yet: `reproduce stress DIR` writes them to results/stress/."
 NO_PAIR = "No policy was tested in both simulators yet: `reproduce stress DIR --kinds none`, where MuJoCo is installed."
+SIDES = {"in PyBullet": "first", "in MuJoCo": "second"}
 GROUPS = {"task": ["task"], "attitude": ["task", "attitude"], "posture": ["task", "posture"]}
 
 
@@ -127,6 +128,21 @@ def transfers(rows: pd.DataFrame) -> pd.DataFrame:
             table = transfer_table(*pair)
             tables[METHODS[str(name)].title] = table[table["by"] != "posture"].drop(columns="by").set_index("group")
     return pd.concat(tables, names=["method"]).round(3) if tables else pd.DataFrame()
+
+
+def readable_transfers(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return success in both simulators and their difference in points with its interval; a column a method.
+
+    The difference stands in all, by task and by how the body lies; the table is empty without a test in both.
+    """
+    columns: dict[str, dict[str, str]] = {}
+    for line in transfers(rows).reset_index().to_dict("records"):
+        cells, group = columns.setdefault(line["method"], {}), line["group"]
+        if not group:
+            cells.update({name: f"{100 * line[at] / line['tests']:.1f} %" for name, at in SIDES.items()})
+        points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * line[key] for key in ("difference", "low", "high")))
+        cells[f"difference, {group or 'all'}"] = points
+    return pd.DataFrame(columns).fillna("")
 
 
 def _lost_and_gained(by: str, group: str, first: pd.Series[Any], second: pd.Series[Any]) -> dict[str, Any]:
