@@ -41,11 +41,11 @@ def against_paper(results: Path = RESULTS) -> Figure:
                 axis.text(2, row, "no run here yet", va="center", **_NOTE)
     axis.set(xlim=(-2, 102), xlabel="rescued [%], with 95 % intervals", ylim=(len(names) - 0.5, -0.5))
     axis.set_yticks(range(len(names)), [METHODS[name].title for name in names])
-    _legend(axis)
+    legend_below(axis)
     return figure
 
 
-def _legend(axis: Axes) -> None:
+def legend_below(axis: Axes) -> None:
     """Put each label once under the whole figure, where none is cut off."""
     handles, labels = axis.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
@@ -152,5 +152,5 @@ def tuning(table: pd.DataFrame) -> Figure:
         xlim=(-0.03, 1.03),
         ylim=(len(methods) - 0.5, -0.5),
     )
-    _legend(axis)
+    legend_below(axis)
     return figure

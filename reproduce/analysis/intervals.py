@@ -22,6 +22,11 @@ Values = NDArray[np.float64]
 Interval = tuple[float, float, float]  # estimate, lower and upper end
 
 
+def in_points(interval: Sequence[float]) -> str:
+    """Return a difference of rates with the ends of its interval in percentage points, as tables and verdicts do."""
+    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * value for value in interval))
+
+
 def same_scenes(first: pd.DataFrame | None, second: pd.DataFrame | None) -> bool:
     """Return whether two evaluations' rows are of the same scenes, so that their tests are pairs."""
     return first is not None and second is not None and list(first["seed"]) == list(second["seed"])

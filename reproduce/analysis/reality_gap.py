@@ -10,7 +10,7 @@ import pandas as pd
 
 from lunar_rescue.disturbances import KINDS, SEVERITIES
 from lunar_rescue.physics.engines import DEFAULT
-from reproduce.analysis.intervals import paired_difference, same_scenes
+from reproduce.analysis.intervals import in_points, paired_difference, same_scenes
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.stress import COLUMNS, NONE, OTHER, summarise_stress
 from reproduce.storage.errors import UserError
@@ -140,8 +140,7 @@ def readable_transfers(rows: pd.DataFrame) -> pd.DataFrame:
         cells, group = columns.setdefault(line["method"], {}), line["group"]
         if not group:
             cells.update({name: f"{100 * line[at] / line['tests']:.1f} %" for name, at in SIDES.items()})
-        points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * line[key] for key in ("difference", "low", "high")))
-        cells[f"difference, {group or 'all'}"] = points
+        cells[f"difference, {group or 'all'}"] = in_points([line[key] for key in ("difference", "low", "high")])
     return pd.DataFrame(columns).fillna("")
 
 

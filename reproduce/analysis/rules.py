@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lunar_rescue.scenes.postures import postures
-from reproduce.analysis.intervals import Interval, paired_difference
+from reproduce.analysis.intervals import Interval, in_points, paired_difference
 from reproduce.analysis.stressed import conditions, read_stress
 from reproduce.analysis.trainings import LEVELS, Pool, horizon, percent, restricted_steps
 from reproduce.analysis.verdicts import (
@@ -55,7 +55,7 @@ def succeeds_more(first: Pool, second: Pool) -> Part:
 
 
 def _points(interval: Interval) -> str:
-    return "{:+.1f} [{:+.1f}, {:+.1f}] points".format(*(100 * value for value in interval))
+    return f"{in_points(interval)} points"
 
 
 def unsolved(pool: Pool) -> Part:

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from lunar_rescue.scenes.scene import MASS_RANGE
-from reproduce.analysis.intervals import Interval, crossed_interval, paired_difference, success_difference
+from reproduce.analysis.intervals import Interval, crossed_interval, in_points, paired_difference, success_difference
 from reproduce.analysis.runs import Run, reference_runs
 from reproduce.analysis.trainings import LEVELS, Pool, horizon, read_pools, steps_to
 from reproduce.experiments.evaluations import EVALUATIONS
@@ -145,9 +145,7 @@ def readable_differences(results: Path = RESULTS, to: str = "hrl_dcs") -> pd.Dat
     """Return paired differences for people, in points, on test scenes and on held-out ones."""
     columns = {
         title: {
-            METHODS[other.method].title + (f", {of}" if of.startswith("one") else ""): (
-                "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * value for value in interval))
-            )
+            METHODS[other.method].title + (f", {of}" if of.startswith("one") else ""): in_points(interval)
             for _, other, interval, of in _differences(results, to, name)
         }
         for title, name in SPLIT_TITLES.items()

@@ -6,8 +6,10 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.figure import Figure
 
-from reproduce.analysis.intervals import Interval, paired_difference, same_scenes
+from reproduce.analysis.comparison_figures import legend_below
+from reproduce.analysis.intervals import Interval, in_points, paired_difference, same_scenes
 from reproduce.analysis.runs import read_evaluation
+from reproduce.analysis.trainings import percent
 from reproduce.experiments.evaluations import VALIDATED
 from reproduce.experiments.presets import VARIANTS
 from reproduce.experiments.variants import variant_folder, variant_method
@@ -50,7 +52,7 @@ def readable_variants(table: pd.DataFrame) -> pd.DataFrame:
         name: {
             "million steps": f"{row['steps'] / 1e6:.1f}",
             "both arms under": f"{100 * row['both arms under']:.1f} %",
-            "rescued": "{:.1f} % [{:.1f}, {:.1f}]".format(*(100 * row[key] for key in ("success", "low", "high"))),
+            "rescued": percent(row["success"], (row["low"], row["high"])),
             "difference, points": "-" if pd.isna(row["difference"]) else _points(row),
         }
         for name, row in table.iterrows()
@@ -69,9 +71,7 @@ def draw_variants(table: pd.DataFrame) -> Figure | None:
         axis.plot(100 * row["success"], place, "o", color=_OURS, ms=7, label="rescued")
     axis.set_yticks(range(len(table)), list(table.index))
     axis.set(xlabel="validation scenes [%], with 95 % intervals", xlim=(-2, 102), ylim=(len(table) - 0.5, -0.5))
-    handles, labels = axis.get_legend_handles_labels()
-    once = dict(zip(labels, handles, strict=True))
-    figure.legend(once.values(), once.keys(), loc="outside lower center", ncols=2, fontsize=9)
+    legend_below(axis)
     return figure
 
 
@@ -90,4 +90,4 @@ def tell_variants(group: str, table: pd.DataFrame) -> str:
 
 
 def _points(row: "pd.Series[float]") -> str:
-    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * row[key] for key in ("difference", "less", "more")))
+    return in_points([row[key] for key in ("difference", "less", "more")])
