@@ -10,7 +10,7 @@ import pytest
 from reproduce.storage.paths import ROOT
 
 
-@pytest.mark.process
+@pytest.mark.slow  # a learning test
 @pytest.mark.parametrize("method", ["two_layers", "feudal"])
 def test_it_learns_on_pendulum(method: str) -> None:
     """Untrained networks and random actions have about -1250, and 80 episodes show a mean with a deviation of about 35.
