@@ -129,6 +129,7 @@ def _reality_gap() -> dict[str, Any]:
         "words": reality_gap.in_words(rows),
         "stress": reality_gap.readable_stress(rows).reset_index(),
         "transfer": reality_gap.readable_transfers(reality_gap.simulator_rows()).rename_axis("success").reset_index(),
+        "anew": _result("transfer/planner_anew.json"),
         "summaries": [summary for name in names if (summary := _result(name))],
         "d": disturbances,
     }
