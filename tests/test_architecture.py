@@ -40,7 +40,7 @@ ORDER = {
 }
 LONGEST_FILE, LONGEST_FUNCTION = 300, 40  # lines
 SHORT_DOCSTRING, SHORT_DOCSTRINGS = 5, 30  # words; fewer of them than
-MOST_LINES = 22_500  # without examples
+MOST_LINES = 22_800  # without examples
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,19 @@ from scipy.spatial.transform import Rotation
 
 from lunar_rescue import sample_scene
 from lunar_rescue.observation import SIZE, SLICES
+from lunar_rescue.physics.robot import INITIAL_ARM, INITIAL_WAIST
 from lunar_rescue.pictures.head import HEIGHT, PITCH, WIDTH, Sight, camera_pose
 from lunar_rescue.scenes.postures import postures
+from lunar_rescue.scenes.suit import mass_properties, surface_points
 from lunar_rescue.seeing import SeeingEnv
 from reproduce.baselines.scripted import ScriptedPolicy
 from reproduce.experiments.perceive import STATES
-from reproduce.perception import estimator, measuring, training
+from reproduce.perception import estimator, frames, measuring, training
 from reproduce.perception.estimator import LEVEL, Estimator, fit_body, fit_resting_body, kinds, read_rocks
-from reproduce.perception.frames import Frames, first_frames, joined, rock_spots, rollouts
+from reproduce.perception.frames import Frames, Moves, joined, rock_spots, rollouts, scattered
 from reproduce.perception.losses import loss_of, total, turned
 from reproduce.perception.network import COLUMNS, OWN, ROWS, Embedding, Seen, _camera, picture_input, spec
+from reproduce.perception.refining import Pose, SuitSurface, body_points, refine
 from reproduce.perception.training import EmbeddingConfig, EmbeddingTraining
 from reproduce.storage.policies import save_policy
 
@@ -41,7 +45,7 @@ def seeing() -> Iterator[SeeingEnv]:
 
 @pytest.fixture(scope="module")
 def first(seeing: SeeingEnv) -> Frames:
-    return first_frames(seeing, range(12))
+    return scattered(seeing, range(12))
 
 
 class Oracle(th.nn.Module):
@@ -65,8 +69,14 @@ class Oracle(th.nn.Module):
         return Seen(points, th.zeros(1, 14), body[:, 9:15].view(1, 2, 3), th.zeros(1, 2), odds, ground, rocks), None
 
 
-def test_what_is_seen_rightly_fills_the_state_as_the_environment_does(seeing: SeeingEnv) -> None:
-    """Every key but the order of rocks, which the environment takes from their middles, a picture from their tops."""
+def test_what_is_seen_rightly_fills_the_state_as_the_environment_does(
+    seeing: SeeingEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every key but the order of rocks, which the environment takes from their middles, a picture from their tops.
+
+    Nothing is put onto the picture here, as its camera is not mounted quite as it should be.
+    """
+    monkeypatch.setattr(estimator, "refine", lambda pose, *_: (pose, 0.0))
     fills = Estimator(Oracle(seeing))  # type: ignore[arg-type]
     for seed in range(15):
         own, _ = seeing.reset_flat(seed=seed)
@@ -99,6 +109,60 @@ def test_a_resting_body_keeps_its_height_and_how_it_lies() -> None:
     seen = model @ heading.T + [1.0, -0.2, posture.rest.height + 0.07]  # 7 cm too high
     place, rotation = fit_resting_body(seen, np.ones(14), model, posture)
     assert place == pytest.approx([1.0, -0.2, posture.rest.height]) and rotation == pytest.approx(heading)
+
+
+def test_distances_from_a_suit_by_hand() -> None:
+    """The helmet is a sphere of 17 cm, the backpack's back is 34 cm behind the torso's middle, an arm a capsule."""
+    limbs = postures()["supine_straight"].limbs
+    surface, centre = SuitSurface(limbs), mass_properties(limbs).centre
+    points = np.array([[0.02, 0.0, 0.72], [-0.44, 0.1, 0.1], [-0.30, 0.0, 0.1]])
+    distance, normal = surface.distances(points - centre)
+    assert distance == pytest.approx([0.10, 0.10, -0.04])
+    assert normal == pytest.approx(np.array([[0, 0, 1], [-1, 0, 0], [-1, 0, 0]]), abs=1e-6)
+    on_it = surface_points(limbs) - centre
+    assert surface.distances(on_it)[0].max() < 1e-6 and np.median(surface.distances(on_it)[0]) == pytest.approx(0.0)
+    assert surface.distances(on_it + [0.0, 0.0, 2.0])[0].min() > 0.1
+
+
+def test_a_suit_finds_its_place_on_points_of_its_surface() -> None:
+    """Seen from one side only, 8 cm and 9 degrees off, with a fifth of the points something else's."""
+    rng, limbs = np.random.default_rng(0), postures()["prone_crawl"].limbs
+    whole, turn = SuitSurface(limbs), Rotation.from_rotvec([0.4, 1.0, -0.3]).as_matrix()
+    skin = surface_points(limbs) - mass_properties(limbs).centre
+    distance, normal = whole.distances(skin)
+    seen = skin[(distance > -1e-3) & (normal @ turn.T @ [-0.5, 0.2, 0.8] > 0.2)] @ turn.T + [1.0, 0.1, 0.4]
+    points = np.concatenate([rng.permutation(seen)[:200], rng.uniform([0.3, -0.8, 0.1], [1.7, 0.8, 0.9], (50, 3))])
+    rough = Pose(np.array([1.05, 0.05, 0.44]), Rotation.from_rotvec([0.05, -0.12, 0.1]).as_matrix() @ turn)
+    pose, misfit = refine(rough, points, whole)
+    off = Rotation.from_matrix(pose.rotation @ turn.T).magnitude()
+    assert np.linalg.norm(pose.centre - [1.0, 0.1, 0.4]) < 0.01 and np.degrees(off) < 1.0
+    assert misfit < refine(rough, points, SuitSurface(postures()["left_side_recovery"].limbs))[1]
+    assert refine(rough, points[:10], whole) == (rough, 1.0)
+
+
+def test_points_of_arms_and_ground_are_not_the_body_s() -> None:
+    """Arm A's upper arm begins 36 cm left of the waist's axis and 72 cm up."""
+    here, arm, ground, far = [1.0, 0.0, 0.3], [0.0, 0.36, 0.72], [1.0, 0.0, 0.02], [3.0, 0.0, 0.3]
+    angles = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
+    kept = body_points(np.array([here, arm, ground, far]), angles, np.array([0.9, 0.1, 0.3]))
+    assert kept.tolist() == [here]
+    assert len(body_points(np.tile(here, (1000, 1)), angles, np.array(here))) == 250
+
+
+def test_the_pose_is_that_of_the_picture(seeing: SeeingEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network whose points are 8 cm off is put right by the picture, to what the camera's mount leaves."""
+
+    class Wrong(Oracle):
+        def forward(self, *arguments: Any) -> tuple[Seen, Any]:
+            seen, state = super().forward(*arguments)
+            return seen._replace(points=seen.points + th.tensor([0.06, -0.05, 0.03])), state
+
+    fills, errors = Estimator(Wrong(seeing)), []  # type: ignore[arg-type]
+    for seed in range(10):
+        own, _ = seeing.reset_flat(seed=seed)
+        errors.append(measuring.errors(fills.fill(seeing.sight, own, True), seeing.truth))
+    assert np.median([row["centre_cm"] for row in errors]) < 2.5
+    assert np.median([row["attitude_deg"] for row in errors]) < 2.0
 
 
 def test_rocks_are_read_once_each_by_hand() -> None:
@@ -217,9 +281,35 @@ def test_estimates_repeat_bit_for_bit_and_any_policy_acts_on_them() -> None:
 
 
 def test_first_pictures_repeat_bit_for_bit(seeing: SeeingEnv, first: Frames) -> None:
-    again = first_frames(seeing, range(3))
+    again = scattered(seeing, range(3))
     assert np.array_equal(again.depth, first.depth[:3]) and np.array_equal(again.truth, first.truth[:3])
     assert first.start.all() and set(first.posture) <= set(range(20))
+
+
+def test_moves_of_rollouts_are_carried_to_other_scenes(seeing: SeeingEnv, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A body that a rollout brought 1.5 m up and turned by 90 degrees about the base's x does the same elsewhere."""
+    for name in ("MOVED", "TURNED", "ROLLED"):
+        monkeypatch.setattr(frames, name, 0.0)
+    sensors = np.zeros((1, 45), np.float32)
+    sensors[0, [0, 22, 42]] = 0.5, -0.5, 0.25  # arm A's first joint, arm B's second, the waist, of their windows
+    quarter = np.array([[[1, 0, 0], [0, 0, -1], [0, 1, 0]]], float)
+    start, later = (scattered(seeing, [5], Moves(sensors, quarter, np.array([[0.0, 0.1, 1.5]])), 1).truth)[:2]
+    bodies = [row[SLICES["P_P"]].reshape(-1, 3) for row in (start, later)]
+    assert bodies[1][0] - bodies[0][0] == pytest.approx([0.0, 0.1, 1.5], abs=1e-5)
+    assert bodies[1][5:] - bodies[1][0] == pytest.approx((bodies[0][5:] - bodies[0][0]) @ quarter[0].T, abs=1e-5)
+    assert later[SLICES["P_W"]][0] == 0.25 and later[SLICES["P_A"]][0] == 0.5 and later[SLICES["P_B"]][1] == -0.5
+    assert seeing.episode.robot.angles[10] == pytest.approx(np.radians(15.0))  # a quarter of 60 degrees
+
+
+def test_moves_are_those_of_a_rollout(seeing: SeeingEnv) -> None:
+    """Carried to the scene that they come from, moves put everything where the rollout had it."""
+    scene, body = sample_scene(100), SLICES["P_P"]
+    rescue = rollouts(seeing, [ScriptedPolicy()], [scene.seed])
+    moves, last = Moves.of(rescue), len(rescue) - 1
+    assert np.array_equal(moves.turns[0], np.eye(3)) or moves.turns[0] == pytest.approx(np.eye(3), abs=1e-6)
+    first, final = (rescue.truth[index][body][:9].reshape(3, 3).astype(float) for index in (0, last))
+    assert first[0] + moves.shifts[last] == pytest.approx(final[0], abs=1e-6)
+    assert first[1:] @ moves.turns[last].T == pytest.approx(final[1:], abs=1e-5)
 
 
 def test_rocks_in_view_lie_on_their_pixels(seeing: SeeingEnv) -> None:
@@ -246,6 +336,10 @@ def test_losses_by_hand(first: Frames) -> None:
         [0.0] * 4, abs=1e-6
     )
     assert terms["found"] > 10.0  # rocks are there, and none was said
+    # Nobody can tell motion from pictures that stand still, but where an episode begins all is at rest.
+    later = replace(first, start=np.arange(len(first)) < 4)
+    moved = seen._replace(motion=motion + th.arange(len(first))[:, None, None].ge(4).float())
+    assert loss_of(moved, later)["motion"] > 1.0 and loss_of(moved, later, still=True)["motion"].item() == 0.0
     # 0.4 m off along each axis is one SPREAD: half its square.
     assert float(loss_of(seen._replace(points=points + 0.4), first)["points"]) == pytest.approx(0.5, abs=1e-5)
 
@@ -257,8 +351,8 @@ def test_what_is_turned_is_turned_in_pictures_and_labels_alike(first: Frames) ->
     after = turned(pictures, first, 1, np.random.default_rng(0))
     for index in range(len(first)):
         heads, pixels = [], []
-        for frames, seen in ((first, before), (after, pictures)):
-            heads.append(frames.truth[index, SLICES["P_P"]][[15, 16, 17]])
+        for labelled, seen in ((first, before), (after, pictures)):
+            heads.append(labelled.truth[index, SLICES["P_P"]][[15, 16, 17]])
             pixels.append(seen[index, :3, 40, 48].numpy() + [1.0, 0.0, 0.2])
         assert np.linalg.norm(heads[0] - pixels[0]) == pytest.approx(np.linalg.norm(heads[1] - pixels[1]), abs=1e-4)
         assert heads[0][2] == heads[1][2] and not np.allclose(heads[0], heads[1])
@@ -275,7 +369,9 @@ def test_a_small_training_lowers_the_loss(seeing: SeeingEnv, first: Frames) -> N
     best, some 2.2 for ten postures, and log 20 = 3.0 before anything is learnt.
     """
     rescues = rollouts(seeing, [ScriptedPolicy()], [100])
-    trained = EmbeddingTraining(EmbeddingConfig(scenes=12, batch=12, chunks=1, length=4, epochs=60, own_epochs=1))
+    trained = EmbeddingTraining(
+        EmbeddingConfig(scenes=12, later=0, batch=12, chunks=1, length=4, epochs=60, own_epochs=1, learning_rate=3e-3)
+    )
     trained.standardise(joined([first, rescues]))
     curve = [trained.epoch(first, rescues, epoch) for epoch in range(60)]
     entropy = scipy.stats.entropy(np.bincount(first.posture))

@@ -57,6 +57,10 @@ class SeeingEnv(LunarRescueEnv):
         vector, reward, terminated, truncated, info = self.step_flat(action)
         return self._seen(vector), reward, terminated, truncated, info
 
+    def look(self) -> Floats:
+        """Take a picture of the episode as it is now, wherever its body and joints were put; return what is known."""
+        return self._observe(self._zero)
+
     def close(self) -> None:
         """Disconnect from the simulator and free the camera's stage."""
         super().close()

@@ -11,13 +11,15 @@ from scipy.spatial.transform import Rotation
 from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.observation import BOUND, GROUND_POINTS, SLICES
 from lunar_rescue.physics.astronaut import BodyGeometry, body_geometry
+from lunar_rescue.physics.robot import ARM_WINDOW, INITIAL_ARM, INITIAL_WAIST, WAIST_WINDOW
 from lunar_rescue.pictures.head import Sight
 from lunar_rescue.scenes.postures import Posture, postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.scene import TASKS
 from lunar_rescue.scenes.targets import approach_sides
 from lunar_rescue.seeing import UP, SeeingEnv
-from reproduce.perception.network import OWN, Embedding, EmbeddingSpec, Seen, State, picture_input
+from reproduce.perception.network import MIDDLE, OWN, Embedding, EmbeddingSpec, Seen, State, picture_input
+from reproduce.perception.refining import RESTING, Pose, body_points, refine, suit_surface
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.policies import load_networks
 
@@ -26,6 +28,8 @@ LEVEL = "embedding"  # name of the network in the files of weights
 SURE = 0.5  # probability from which on a cell is taken to hold a rock
 APART = 0.09  # m, two rocks are no nearer to each other
 LOWEST = 0.03  # m, targets lie no lower
+TRIED = 3  # postures, the likeliest, whose suits are put onto the first picture
+FIT = 20.0  # what a perfect fit adds to the logarithm of a posture's odds, beside the worst
 
 
 @lru_cache(maxsize=1)
@@ -83,7 +87,8 @@ class Estimator:
 
     Attributes:
         seen: What the network made of the last picture.
-        belief: Logarithms of the odds of the 20 postures, from all pictures of the episode (20,).
+        belief: Logarithms of the odds of the 20 postures (20,), from the first picture: a suit that is rigid keeps its
+            posture, and nothing hides it yet.
     """
 
     def __init__(self, network: Embedding) -> None:
@@ -93,10 +98,11 @@ class Estimator:
         self.seen: Seen
         self._state: State | None = None
         self._inwards: Array
+        self._pose: Pose
 
     @property
     def posture(self) -> Posture:
-        """Return the posture that is most likely now."""
+        """Return the posture that is most likely."""
         return kinds()[int(self.belief.argmax())]
 
     @th.no_grad()
@@ -115,9 +121,7 @@ class Estimator:
         self.seen, self._state = self.network(
             pictures, th.from_numpy(own[None, OWN]), 1, None if start else self._state
         )
-        odds = th.log_softmax(self.seen.posture[0], dim=0).numpy()
-        self.belief = odds if start else self.belief + odds
-        geometry, rotation, centre = self._body(own, start)
+        geometry, rotation, centre = self._body(own, start, _points(pictures, sight))
         out = own.copy()
         out[SLICES["P_P"]] = self._fill_body(geometry, rotation, centre)
         targets = geometry.targets @ rotation.T + centre
@@ -132,24 +136,49 @@ class Estimator:
         out[SLICES["P_E"]], out[UP.stop : SLICES["P_T"].stop] = self._rocks.ravel(), self._ground
         return out.clip(-BOUND, BOUND).astype(np.float32)
 
-    def _body(self, own: Floats, start: bool) -> tuple[BodyGeometry, Array, Array]:
+    def _body(self, own: Floats, start: bool, points: Array) -> tuple[BodyGeometry, Array, Array]:
         """Return the geometry of the likely posture, and the body's rotation and centre of gravity."""
         task = TASKS[int(own[SLICES["I"]].argmax())]
-        posture = next(kinds()[i] for i in np.argsort(-self.belief) if task in kinds()[i].tasks)
-        sides = approach_sides(posture)
-        geometry = body_geometry(posture, sides[0], task)
-        points = self.seen.points[0].numpy().astype(np.float64)
-        weights = np.exp(-self.seen.spread[0].numpy().astype(np.float64))
-        model = np.concatenate([np.zeros((1, 3)), geometry.keypoints])
         if start:
-            centre, rotation = fit_resting_body(points, weights, model, posture)
+            self._recognise(own, task, points)
+        posture = self.posture
+        sides = approach_sides(posture)
+        if start:
+            rotation, centre = self._pose.rotation, self._pose.centre
             along = rotation[:2, 2] / np.linalg.norm(rotation[:2, 2])
             left = np.array([-along[1], along[0], 0.0])  # of a head along +x
             self._side = sides[0] if len(sides) == 1 else (1 if -centre @ left > 0 else -1)
             self._inwards = self._side * left
         else:
-            centre, rotation = fit_body(points, weights, model)
-        return body_geometry(posture, self._side if self._side in sides else sides[0], task), rotation, centre
+            # The pose before is nearly always nearer than what the network says, unless the body was lost.
+            rough = self._rough(posture, task, start)
+            seen, surface = body_points(points, _angles(own), rough.centre), suit_surface(posture.limbs)
+            self._pose = min((refine(pose, seen, surface) for pose in (rough, self._pose)), key=lambda one: one[1])[0]
+        return body_geometry(posture, self._side, task), self._pose.rotation, self._pose.centre
+
+    def _recognise(self, own: Floats, task: str, points: Array) -> None:
+        """Find the posture, and with it the pose, among the likeliest that have a task, by how well they fit."""
+        odds = th.log_softmax(self.seen.posture[0], dim=0).numpy()
+        fits = np.array([0.0 if task in kind.tasks else -FIT for kind in kinds()], np.float32)
+        poses = {}
+        for index in np.argsort(-(odds + FIT * fits))[:TRIED]:
+            posture = kinds()[index]
+            rough = self._rough(posture, task, True)
+            seen = body_points(points, _angles(own), rough.centre)
+            poses[index], cost = refine(rough, seen, suit_surface(posture.limbs), RESTING)
+            fits[index] += 1.0 - cost
+        self.belief = odds + FIT * fits
+        self._pose = poses[int(self.belief.argmax())]
+
+    def _rough(self, posture: Posture, task: str, start: bool) -> Pose:
+        """Return the pose in which a body of this posture is nearest to the points that the network sees."""
+        geometry = body_geometry(posture, approach_sides(posture)[0], task)
+        points = self.seen.points[0].numpy().astype(np.float64)
+        weights = np.exp(-self.seen.spread[0].numpy().astype(np.float64))
+        model = np.concatenate([np.zeros((1, 3)), geometry.keypoints])
+        if start:
+            return Pose(*fit_resting_body(points, weights, model, posture))
+        return Pose(*fit_body(points, weights, model))
 
     def _fill_body(self, geometry: BodyGeometry, rotation: Array, centre: Array) -> Array:
         skeleton = geometry.keypoints @ rotation.T + centre
@@ -163,6 +192,19 @@ class Estimator:
         self._rocks = np.zeros((MAX_ROCKS, 5))
         self._rocks[: len(found), :4], self._rocks[: len(found), 4] = found[nearest, :4], 1.0
         self._ground = seen.ground[0, : 2 * GROUND_POINTS].numpy()
+
+
+def _points(pictures: th.Tensor, sight: Sight) -> Array:
+    """Return where every other pixel of every other row lies in the base frame, where something is (n, 3) [m]."""
+    points = pictures[0, :3, ::2, ::2].flatten(1).T.numpy().astype(np.float64) + MIDDLE
+    return np.asarray(points[sight.depth[::2, ::2].ravel() > 0])
+
+
+def _angles(own: Floats) -> Array:
+    """Return the robot's joints (11,) [rad] of a flat observation."""
+    shares = np.concatenate([own[SLICES["P_A"]][:5], own[SLICES["P_B"]][:5], own[SLICES["P_W"]][:1]])
+    window = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
+    return np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]]) + window * shares
 
 
 class EstimatedEnv(SeeingEnv):

@@ -1,17 +1,24 @@
-"""Labelled pictures: first ones of many scenes, and those of policies' rollouts, some on the embedding's estimates."""
+"""Labelled pictures: those of policies' rollouts, some on the embedding's estimates, and those of many other scenes.
+
+Rollouts take time and show few scenes. So arms and body of many others are put where rollouts have brought theirs, and
+looked at without any physics.
+"""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from lunar_rescue import sample_scene
-from lunar_rescue.arrays import Floats
+from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.observation import SLICES
+from lunar_rescue.physics.astronaut import AstronautState
+from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.seeing import SeeingEnv
@@ -21,6 +28,12 @@ from reproduce.storage.files import write_atomically
 IN_VIEW = 4  # px, a rock that shows fewer is not expected to be found
 OUT_OF_VIEW = -1000.0  # px, stands for the place of such a rock
 NOISE = 0.15  # standard deviation of the noise on actions in every other rollout, so that frames are of mistakes, too
+#: How else than in a rollout the body lies in a picture without physics: standard deviations of its place [m] and of
+#: its attitude [rad], and the share that is rolled about its length by any angle.
+MOVED, TURNED, ROLLED = 0.05, np.radians(12.0), 0.3
+LOWEST = 0.1  # m, its key points lie no lower
+_SENSORS = np.r_[SLICES["P_A"], SLICES["P_B"], SLICES["P_W"]]
+_ANGLES = np.r_[0:5, 21:26, 42]  # of these sensors, of Eq. 3's windows about q_init
 
 
 @dataclass(frozen=True)
@@ -86,29 +99,70 @@ def rock_spots(env: SeeingEnv) -> Floats:
     return spots
 
 
-def first_frames(env: SeeingEnv, seeds: Iterable[int]) -> Frames:
-    """Return the first picture of each scene."""
+@dataclass(frozen=True)
+class Moves:
+    """What rollouts did: the robot's sensors, and how the body lay beside how it lay at first, in the base frame."""
+
+    sensors: Floats  # P_A, P_B and P_W of flat observations (n, 45)
+    turns: Array  # from the attitude at first (n, 3, 3)
+    shifts: Array  # of the centre of gravity from where it was at first (n, 3) [m]
+
+    @classmethod
+    def of(cls, rescues: Frames) -> "Moves":
+        """Take them from pictures of rollouts."""
+        bodies = rescues.truth[:, SLICES["P_P"]].astype(np.float64)
+        axes = bodies[:, 3:9].reshape(-1, 2, 3)
+        attitudes = np.stack([axes[:, 0], axes[:, 1], np.cross(axes[:, 0], axes[:, 1])], axis=2)
+        first = np.maximum.accumulate(np.where(rescues.start, np.arange(len(rescues)), 0))
+        shifts = bodies[:, :3] - bodies[first, :3]
+        return cls(rescues.truth[:, _SENSORS], attitudes @ attitudes[first].transpose(0, 2, 1), shifts)
+
+
+def scattered(env: SeeingEnv, seeds: Iterable[int], moves: Moves | None = None, later: int = 0) -> Frames:
+    """Return the first picture of each scene and then ``later`` ones after moves that are drawn by the scene's seed."""
     frames = []
     for seed in seeds:
         env.reset_flat(options={"scene": sample_scene(seed)})
         frames.append(label(env))
+        if moves is not None:
+            start, rng = env.episode.body, np.random.default_rng([seed, 22])
+            frames += [_moved(env, start, moves, rng) for _ in range(later)]
     return joined(frames)
+
+
+def _moved(env: SeeingEnv, start: AstronautState, moves: Moves, rng: np.random.Generator) -> Frames:
+    """Put arms and body where a rollout had them, the body a little elsewhere, and return the picture of it."""
+    e, index = env.episode, rng.integers(len(moves.sensors))
+    (_, axes), sensors = base_frame(e), moves.sensors[index]
+    turn = Rotation.from_rotvec(rng.normal(0.0, TURNED, 3)) * Rotation.from_matrix(moves.turns[index])
+    if rng.random() < ROLLED:
+        turn = turn * Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * (start.rotation[:, 2] @ axes))
+    rotation = axes @ turn.as_matrix() @ axes.T @ start.rotation
+    centre = start.centre + axes @ (moves.shifts[index] + rng.normal(0.0, MOVED, 3))
+    body = replace(start, centre=centre, rotation=rotation)
+    centre[2] += max(0.0, LOWEST - e.astronaut.keypoints(body)[:, 2].min())
+    angles = env.robot.initial + env.robot.window * sensors[_ANGLES]
+    e.body, e.robot, e.steps = body, replace(e.robot, angles=angles), e.steps + 1
+    env.look()
+    env.truth[_SENSORS] = sensors
+    return label(env)
 
 
 def rollouts(env: SeeingEnv, policies: Sequence[Policy], seeds: Iterable[int]) -> Frames:
     """Return all pictures of a rescue in each scene, by policies in turn; every other time with noise on the actions.
 
-    In an environment that estimates states the policies act on its estimates, else on the true ones.
+    Whose turn it is follows from the scene's seed. In an environment that estimates states the policies act on its
+    estimates, else on the true ones.
     """
     frames = []
-    for number, seed in enumerate(seeds):
-        policy, rng = policies[number // 2 % len(policies)], np.random.default_rng([seed, 21])
+    for seed in seeds:
+        policy, rng = policies[seed // 2 % len(policies)], np.random.default_rng([seed, 21])
         observation, done = begin_episode(env, policy, sample_scene(seed)), False
         while not done:
             frames.append(label(env))
             seen = observation if observation[SLICES["P_P"]].any() else env.truth
             action = policy.act(seen[None], np.array([env.episode.steps == 0]))[0]
-            action = action + (NOISE * rng.standard_normal(action.shape) if number % 2 else 0.0)
+            action = action + (NOISE * rng.standard_normal(action.shape) if seed % 2 else 0.0)
             observation, _, terminated, truncated, _ = env.step_flat(action)
             done = terminated or truncated
     return joined(frames)

@@ -18,8 +18,12 @@ NEIGHBOURS = 0.1  # weight of the cells around a rock, which may as well have be
 DOUBTS = (-7.0, 3.0)  # least and greatest logarithm of the ground's variance
 
 
-def loss_of(seen: Seen, frames: Frames, shift: tuple[int, int] = (0, 0)) -> dict[str, th.Tensor]:
-    """Return the terms of the loss, by name; rocks and ground count in pictures that begin an episode.
+def loss_of(
+    seen: Seen, frames: Frames, shift: tuple[int, int] = (0, 0), *, still: bool = False
+) -> dict[str, th.Tensor]:
+    """Return the terms of the loss, by name; the ground counts in pictures that begin an episode.
+
+    So does motion where pictures are ``still``, with no motion from one to the next that could be told.
 
     Points, motion and ground are Gaussian with the variance that the network says; each term is weighted by the root of
     that variance, held fixed, so that what is hard to see is learnt, too (Seitzer et al., 2022, beta = 0.5).
@@ -28,17 +32,16 @@ def loss_of(seen: Seen, frames: Frames, shift: tuple[int, int] = (0, 0)) -> dict
     body = truth[:, SLICES["P_P"]]
     points = th.cat([body[:, None, :3], body[:, 15:].view(len(body), -1, 3)], dim=1)
     motion = body[:, 9:15].view(-1, 2, 3) - seen.motion
-    error = motion / motion.new_tensor([SPEED, SPIN])[:, None]
+    error, told = motion / motion.new_tensor([SPEED, SPIN])[:, None], start if still else th.ones_like(start)
     terms = {
         "points": _gaussian((points - seen.points) / SPREAD, seen.spread[..., None]),
-        "motion": _gaussian(error, seen.doubt[..., None]),
+        "motion": _gaussian(error[told], seen.doubt[told, :, None]),
         "posture": nn.functional.cross_entropy(seen.posture, th.from_numpy(frames.posture), ignore_index=-1),
     }
     if start.any():
         ground = truth[start][:, SLICES["P_T"]][:, 3:] - seen.ground[start, : 2 * GROUND_POINTS]
         terms["ground"] = _gaussian(ground, seen.ground[start, 2 * GROUND_POINTS :].clamp(*DOUBTS))
-        terms |= _rock_loss(seen.rocks[start], truth[start], frames.spots[frames.start] + np.array(shift))
-    return terms
+    return terms | _rock_loss(seen.rocks, truth, frames.spots + np.array(shift))
 
 
 def _gaussian(error: th.Tensor, variance: th.Tensor) -> th.Tensor:

@@ -1,7 +1,7 @@
 """The embedding's network: pictures and the robot's own sensors in, the body, its posture, rocks and ground out.
 
 ```
-colour, depth -> points in the base frame, colours -> 4 convolutions with group norm -> 192 features --+
+colour, depth -> points in the base frame, colours -> 5 convolutions with group norm -> 192 features --+
 features of a cell (4 x 4 px) and of what is around it -> rocks, and cells to look at -> their points --+
 own sensors, standardised ------------------------------------------------------------------------------+-> LSTM
 all of these and the LSTM -> two fully connected layers -> body, posture, motion, ground
@@ -92,7 +92,8 @@ class Embedding(nn.Module):
 
     def __init__(self, hidden_units: int = 128) -> None:
         super().__init__()
-        self.cells = nn.Sequential(_layer(6, 32, CELL, CELL, 0), _layer(32, 32, 3, 1, 1))
+        # Cells overlap in what they see: a rock of some pixels is whole in one of them.
+        self.cells = nn.Sequential(_layer(6, 16, 3, 2, 1), _layer(16, 32, 3, 2, 1), _layer(32, 32, 3, 1, 1))
         self.whole = nn.Sequential(_layer(32, 64, 3, 2, 1), _layer(64, 96, 3, 2, 1))
         self.features = nn.Sequential(nn.Flatten(), nn.Linear(96 * 5 * 6, FEATURES), nn.ReLU())
         self.around = nn.Conv2d(96, 16, 1)

@@ -1,13 +1,15 @@
-"""Train the embedding: on first pictures and rollouts with true states, then also on rollouts on its own estimates.
+"""Train the embedding: on many scenes and rollouts with true states, then also on rollouts on its own estimates.
 
 Whatever is drawn follows from the seed and the epoch, and a checkpoint is written after each epoch, so a training that
 is interrupted goes on where it was and ends as it would have, bit for bit.
 """
 
 import math
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from lunar_rescue.scenes.records import checked
 from lunar_rescue.seeing import SeeingEnv
 from reproduce.learning.policy import Policy
 from reproduce.perception.estimator import LEVEL, EstimatedEnv
-from reproduce.perception.frames import Frames, first_frames, joined, rollouts
+from reproduce.perception.frames import Frames, Moves, joined, rollouts, scattered
 from reproduce.perception.losses import loss_of, total, turned
 from reproduce.perception.network import OWN, Embedding, picture_input, spec
 from reproduce.storage.checkpoint import (
@@ -37,11 +39,13 @@ from reproduce.storage.errors import UserError
 from reproduce.storage.files import locked, write_atomically, write_json
 from reproduce.storage.paths import CHECKPOINT
 from reproduce.storage.policies import save_policy
+from reproduce.storage.processes import map_in_processes
 from reproduce.storage.provenance import provenance
 from reproduce.storage.records import to_dict
 
 FIRST_SEED = 1_700_000_000  # of the training scenes that are looked at; those of demonstrations begin elsewhere
 SHIFT = 3  # px, pictures are moved by up to this each way
+AT_ONCE = 20  # scenes whose pictures a worker hands over together
 WARM_UP = 0.05  # share of the training in which the learning rate rises
 
 
@@ -51,15 +55,17 @@ class EmbeddingConfig:
     """What a training of the embedding looks at and for how long; none of it is in the paper."""
 
     seed: NonNegativeInt = 0  # of weights, minibatches and scenes
-    scenes: PositiveInt = 8000  # whose first picture is looked at
-    rescues: PositiveInt = 100  # acted out on true states in the first round
+    scenes: PositiveInt = 5000  # that are looked at as they begin
+    later: NonNegativeInt = 2  # more pictures of each, with arms and body where rescues bring theirs
+    rescues: PositiveInt = 120  # acted out on true states in the first round
     own_rescues: PositiveInt = 60  # acted out on the embedding's estimates before the second round
-    epochs: PositiveInt = 14  # of the first round
-    own_epochs: PositiveInt = 6  # of the second round
-    batch: PositiveInt = 32  # first pictures of a minibatch
-    chunks: PositiveInt = 2  # pieces of rescues of a minibatch
+    epochs: PositiveInt = 10  # of the first round
+    early: NonNegativeInt = 4  # of these, with no more of a scene than its first picture
+    own_epochs: PositiveInt = 4  # of the second round
+    batch: PositiveInt = 16  # scenes of a minibatch
+    chunks: PositiveInt = 1  # pieces of rescues of a minibatch
     length: PositiveInt = 12  # pictures of a piece
-    learning_rate: float = 1e-3  # highest, of Adam; rises, then falls as a cosine to nothing
+    learning_rate: float = 5e-3  # highest, of Adam; rises, then falls as a cosine to nothing
 
     @classmethod
     def looking_at(cls, scenes: int, seed: int = 0) -> "EmbeddingConfig":
@@ -102,19 +108,21 @@ class EmbeddingTraining:
         self.network.middle.copy_(own.mean(0))
         self.network.scale.copy_(own.std(0, unbiased=False) + 0.05)
 
-    def epoch(self, first: Frames, rescues: Frames, epoch: int) -> dict[str, float]:
-        """Learn from each first picture once and from as many pieces of rescues; return means of the loss's terms."""
+    def epoch(self, scenes: Frames, rescues: Frames, epoch: int) -> dict[str, float]:
+        """Learn from each scene's pictures once and from pieces of rescues; return means of the loss's terms."""
         config, epochs = self.config, self.config.epochs + self.config.own_epochs
-        rng = np.random.default_rng([config.seed, epoch])
-        order, pieces = rng.permutation(len(first)), _pieces(rescues, config.length)
-        steps = max(1, len(first) // config.batch)
+        rng, views = np.random.default_rng([config.seed, epoch]), 1 if epoch < config.early else 1 + config.later
+        looks = rng.permutation(_pieces(scenes, 1 + config.later))[:, :views]
+        pieces = _pieces(rescues, config.length)
+        steps = max(1, len(looks) // config.batch)
         told: list[dict[str, float]] = []
         self.network.train()
         for step in range(steps):
             done = (epoch + step / steps) / epochs
             rise = min(1.0, done / WARM_UP + 0.02)
             self.optimizer.param_groups[0]["lr"] = config.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * done))
-            terms = self._terms(first.rows(order[step * config.batch : (step + 1) * config.batch]), 1, rng)
+            chosen = looks[step * config.batch : (step + 1) * config.batch]
+            terms = self._terms(scenes.rows(chosen.T.ravel()), views, rng, still=True)
             chosen = pieces[rng.integers(len(pieces), size=config.chunks)]
             more = self._terms(rescues.rows(chosen.T.ravel()), config.length, rng)
             self.optimizer.zero_grad()
@@ -125,7 +133,9 @@ class EmbeddingTraining:
             told.append({name: term.item() for name, term in terms.items()})
         return {name: float(np.mean([row[name] for row in told if name in row])) for name in told[0]}
 
-    def _terms(self, frames: Frames, length: int, rng: np.random.Generator) -> dict[str, th.Tensor]:
+    def _terms(
+        self, frames: Frames, length: int, rng: np.random.Generator, still: bool = False
+    ) -> dict[str, th.Tensor]:
         pictures = picture_input(frames.colour, frames.depth, frames.truth)
         frames = turned(pictures, frames, length, rng)
         right, down = (int(shift) for shift in rng.integers(-SHIFT, SHIFT + 1, 2))
@@ -133,7 +143,7 @@ class EmbeddingTraining:
         top, left = SHIFT - down, SHIFT - right
         moved = padded[:, :, top : top + pictures.shape[2], left : left + pictures.shape[3]]
         seen, _ = self.network(moved, th.from_numpy(frames.truth[:, OWN]), length, None)
-        return loss_of(seen, frames, (right, down))
+        return loss_of(seen, frames, (right, down), still=still)
 
 
 def _pieces(frames: Frames, length: int) -> Any:
@@ -143,6 +153,23 @@ def _pieces(frames: Frames, length: int) -> Any:
     return np.concatenate(rows)[:, None] + np.arange(length)
 
 
+_STATE: dict[str, Any] = {}  # of a worker that takes pictures
+
+
+def _prepare(network: Embedding | None, policies: Sequence[Policy], moves: Moves | None) -> None:
+    th.set_num_threads(1)
+    env = SeeingEnv() if network is None else EstimatedEnv(network)
+    _STATE.update(env=env, policies=policies, moves=moves)
+
+
+def _look(seeds: range, later: int) -> Frames:
+    return scattered(_STATE["env"], seeds, _STATE["moves"], later)
+
+
+def _act(seeds: range) -> Frames:
+    return rollouts(_STATE["env"], _STATE["policies"], seeds)
+
+
 class _Data:
     """The frames of a training, kept in its folder until it has ended."""
 
@@ -150,36 +177,25 @@ class _Data:
         self._config, self._out, self._policies = config, out, policies
         self._begin = FIRST_SEED + 1_000_000 * config.seed
 
-    def _frames(self, name: str, make: Callable[[], Frames]) -> Frames:
-        path = self._out / f"frames_{name}.safetensors"
+    def _frames(self, name: str, job: Callable[[range], Frames], number: int, *what: Any) -> Frames:
+        """Return the pictures of the next scenes, taken by all cores unless they are in the folder already."""
+        path, seeds = self._out / f"frames_{name}.safetensors", range(self._begin, self._begin + number)
+        self._begin += number
         if not path.is_file():
-            make().save(path)
+            parts = [seeds[i : i + AT_ONCE] for i in range(0, number, AT_ONCE)]
+            joined(map_in_processes(job, parts, None, _prepare, what)).save(path)
         return Frames.load(path)
 
     def first_round(self) -> tuple[Frames, Frames]:
-        """Return first pictures and rescues on true states."""
-        config, begin = self._config, self._begin
-        env = SeeingEnv()
-        try:
-            first = self._frames("first", lambda: first_frames(env, range(begin, begin + config.scenes)))
-            seeds = range(begin + config.scenes, begin + config.scenes + config.rescues)
-            return first, self._frames("rescues", lambda: rollouts(env, self._policies, seeds))
-        finally:
-            env.close()
+        """Return scenes as they begin, with what could become of them, and rescues on true states."""
+        config = self._config
+        rescues = self._frames("rescues", _act, config.rescues, None, self._policies, None)
+        job = partial(_look, later=config.later)
+        return self._frames("scenes", job, config.scenes, None, (), Moves.of(rescues)), rescues
 
     def second_round(self, network: Embedding) -> Frames:
         """Return rescues on the network's own estimates."""
-        begin = self._begin + self._config.scenes + self._config.rescues
-
-        def make() -> Frames:
-            network.eval()
-            env = EstimatedEnv(network)
-            try:
-                return rollouts(env, self._policies, range(begin, begin + self._config.own_rescues))
-            finally:
-                env.close()
-
-        return self._frames("own", make)
+        return self._frames("own", _act, self._config.own_rescues, network.eval(), self._policies, None)
 
     def remove(self) -> None:
         """Delete the files, once nothing wants them any more."""
@@ -213,19 +229,26 @@ def train(
     th.set_num_threads(1)
     training, settings = EmbeddingTraining(config), {**to_dict(config), "actors": list(actors)}
     with locked(out, "training"):
-        data, begun = _Data(config, out, policies), time.process_time()
+        data = _Data(config, out, policies)
         done = load_checkpoint(out, {LEVEL: training}, settings) if resume else Progress(0, 0, 0.0)
+        computed = training.curve[-1]["processor_seconds"] if training.curve else 0.0
+        begun, before = time.monotonic() - done.seconds, _on_all_cores() - computed
         if not resume:
             data.remove()
             save_checkpoint(out, {LEVEL: training}, done, settings)  # pictures that are taken now are kept, too
         for epoch, terms in _epochs(training, data, done.update):
-            seconds = done.seconds + time.process_time() - begun
-            training.curve.append({"epoch": epoch + 1, "seconds": round(seconds, 1), **terms})
+            seconds, cores = time.monotonic() - begun, round(_on_all_cores() - before, 1)
+            training.curve.append({"epoch": epoch + 1, "seconds": seconds, "processor_seconds": cores, **terms})
             save_checkpoint(out, {LEVEL: training}, Progress(epoch + 1, (epoch + 1) * config.scenes, seconds), settings)
             tell(f"epoch {epoch + 1}, {seconds:.0f} s: " + ", ".join(f"{n} {v:.3f}" for n, v in terms.items()))
         _finish(training, out, list(actors))
         data.remove()
         (out / CHECKPOINT).unlink()
+
+
+def _on_all_cores() -> float:
+    """Return how long this process and its workers that have ended have computed [s]."""
+    return sum(os.times()[:4])
 
 
 def _check_checkpoint(out: Path, resume: bool) -> None:
@@ -237,13 +260,13 @@ def _check_checkpoint(out: Path, resume: bool) -> None:
 def _epochs(training: EmbeddingTraining, data: _Data, done: int) -> Iterator[tuple[int, dict[str, float]]]:
     """Make the epochs that were not made yet and yield their numbers and losses."""
     config = training.config
-    first, rescues = data.first_round()
+    scenes, rescues = data.first_round()
     if not done:
-        training.standardise(joined([first, rescues]))
+        training.standardise(joined([scenes, rescues]))
     for epoch in range(done, config.epochs + config.own_epochs):
         if epoch == max(done, config.epochs):
             rescues = joined([rescues, data.second_round(training.network)])
-        yield epoch, training.epoch(first, rescues, epoch)
+        yield epoch, training.epoch(scenes, rescues, epoch)
 
 
 def _finish(training: EmbeddingTraining, out: Path, actors: list[str]) -> None:
@@ -252,5 +275,5 @@ def _finish(training: EmbeddingTraining, out: Path, actors: list[str]) -> None:
     training.network.eval()
     save_policy(out, LEVEL, {LEVEL: (spec(), training.network)}, training.config)
     write_atomically(out / "progress.csv", lambda path: pd.DataFrame(training.curve).to_csv(path, index=False))
-    seconds = training.curve[-1]["seconds"]
-    write_json(out / "run.json", {**provenance(), "method": LEVEL, "actors": actors, "processor_seconds": seconds})
+    times = {name: training.curve[-1][name] for name in ("seconds", "processor_seconds")}
+    write_json(out / "run.json", {**provenance(), "method": LEVEL, "actors": actors, **times})
