@@ -198,9 +198,10 @@ class _Data:
         return self._frames("own", _act, self._config.own_rescues, network.eval(), self._policies, None)
 
     def remove(self) -> None:
-        """Delete the files, once nothing wants them any more."""
+        """Delete the files and the checkpoint, once nothing wants them any more."""
         for path in self._out.glob("frames_*.safetensors"):
             path.unlink()
+        (self._out / CHECKPOINT).unlink(missing_ok=True)
 
 
 def train(
@@ -243,7 +244,6 @@ def train(
             tell(f"epoch {epoch + 1}, {seconds:.0f} s: " + ", ".join(f"{n} {v:.3f}" for n, v in terms.items()))
         _finish(training, out, list(actors))
         data.remove()
-        (out / CHECKPOINT).unlink()
 
 
 def _on_all_cores() -> float:
