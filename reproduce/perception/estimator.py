@@ -29,6 +29,7 @@ SURE = 0.5  # probability from which on a cell is taken to hold a rock
 APART = 0.09  # m, two rocks are no nearer to each other
 LOWEST = 0.03  # m, targets lie no lower
 TRIED = 3  # postures, the likeliest, whose suits are put onto the first picture
+LOST = 0.15  # misfit from which on the network is asked where the body is; the right posture's is nearly always less
 FIT = 20.0  # what a perfect fit adds to the logarithm of a posture's odds, beside the worst
 
 
@@ -150,10 +151,12 @@ class Estimator:
             self._side = sides[0] if len(sides) == 1 else (1 if -centre @ left > 0 else -1)
             self._inwards = self._side * left
         else:
-            # The pose before is nearly always nearer than what the network says, unless the body was lost.
-            rough = self._rough(posture, task, start)
-            seen, surface = body_points(points, _angles(own), rough.centre), suit_surface(posture.limbs)
-            self._pose = min((refine(pose, seen, surface) for pose in (rough, self._pose)), key=lambda one: one[1])[0]
+            seen, surface = body_points(points, _angles(own), self._pose.centre), suit_surface(posture.limbs)
+            self._pose, misfit = refine(self._pose, seen, surface)
+            if misfit > LOST:
+                rough = self._rough(posture, task, start)
+                seen = body_points(points, _angles(own), rough.centre)
+                self._pose = min(refine(rough, seen, surface), (self._pose, misfit), key=lambda one: one[1])[0]
         return body_geometry(posture, self._side, task), self._pose.rotation, self._pose.centre
 
     def _recognise(self, own: Floats, task: str, points: Array) -> None:

@@ -18,7 +18,7 @@ from lunar_rescue.physics.kinematics import ArmChain
 from lunar_rescue.physics.robot import ARMS, WAIST
 from lunar_rescue.scenes.suit import Limbs, mass_properties, suit_parts
 
-MOST = 250  # points that are fitted to
+MOST = 160  # points that are fitted to
 FEWEST = 25  # and without which nothing is
 NEAR = 1.3  # m, points further from the centre of gravity are not the body's
 OFF_GROUND, OFF_ARMS = 0.05, 0.11  # m, points that are lower, or this near to an arm's axis, are not either
@@ -45,33 +45,43 @@ class SuitSurface:
         boxes, round_ones = ([p for p in parts if (p.kind == "box") is box] for box in (True, False))
         self._half = np.array([p.size for p in boxes])
         self._turns = Rotation.from_quat([p.quaternion for p in boxes]).as_matrix()
-        self._middles = np.array([p.position for p in boxes]) - centre
+        middles = np.array([p.position for p in boxes]) - centre
+        self._offsets = (middles[:, None] @ self._turns)[:, 0]  # of the boxes' middles, along their own axes
         self._radii = np.array([p.size[0] for p in round_ones])
         lengths = np.array([p.size[1] if p.kind == "capsule" else 0.0 for p in round_ones])
-        axes = Rotation.from_quat([p.quaternion for p in round_ones]).apply([0.0, 0.0, 1.0]) * lengths[:, None]
-        self._starts = np.array([p.position for p in round_ones]) - centre - 0.5 * axes
-        self._axes, self._squares = axes, np.maximum((axes * axes).sum(axis=1), 1e-9)
+        self._axes = Rotation.from_quat([p.quaternion for p in round_ones]).apply([0.0, 0.0, 1.0]) * lengths[:, None]
+        self._starts = np.array([p.position for p in round_ones]) - centre - 0.5 * self._axes
+        self._squares = np.maximum(lengths**2, 1e-9)
 
     def distances(self, points: Array) -> tuple[Array, Array]:
         """Return distances (n,) [m] of points (n, 3) from the surface, less than 0 inside, and its normals (n, 3).
 
         Points and normals are in the body frame, from the centre of gravity.
         """
-        away = points[:, None] - self._starts
-        along = np.clip(np.einsum("npi,pi->np", away, self._axes) / self._squares, 0.0, 1.0)
-        away = away - along[..., None] * self._axes
-        length = np.sqrt((away * away).sum(axis=2))
-        own = np.einsum("npi,pij->npj", points[:, None] - self._middles, self._turns)
-        outside = own - np.clip(own, -self._half, self._half)
-        reach = np.sqrt((outside * outside).sum(axis=2))
-        depth = np.abs(own) - self._half  # inside, the nearest face is where it is greatest
-        inside = np.where(depth == depth.max(axis=2, keepdims=True), np.sign(own), 0.0)
-        normal = np.where((reach > 0)[..., None], outside, inside) / np.where(reach > 0, reach, 1.0)[..., None]
-        flat = np.where(reach > 0, reach, depth.max(axis=2))
-        normals = [away / np.maximum(length, 1e-9)[..., None], np.einsum("npj,pij->npi", normal, self._turns)]
-        every = np.concatenate([length - self._radii, flat], axis=1)
+        along = points @ self._axes.T - (self._starts * self._axes).sum(axis=1)
+        share = np.clip(along / self._squares, 0.0, 1.0)
+        square = (points**2).sum(axis=1)[:, None] - 2 * points @ self._starts.T + (self._starts**2).sum(axis=1)
+        square += share * (share * self._squares - 2 * along)
+        own = np.abs(points @ self._turns - self._offsets[:, None]) - self._half[:, None]  # (boxes, n, 3)
+        outside = np.sqrt((np.maximum(own, 0.0) ** 2).sum(axis=2))
+        flat = np.where(outside > 0, outside, own.max(axis=2)).T
+        every = np.concatenate([np.sqrt(np.maximum(square, 0.0)) - self._radii, flat], axis=1)
         nearest, rows = every.argmin(axis=1), np.arange(len(points))
-        return every[rows, nearest], np.concatenate(normals, axis=1)[rows, nearest]
+        normals, box = np.empty((len(points), 3)), nearest >= len(self._radii)
+        part = nearest[~box]
+        away = points[~box] - self._starts[part] - share[rows[~box], part, None] * self._axes[part]
+        normals[~box] = away / np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-9)[:, None]
+        normals[box] = self._box_normals(points[box], nearest[box] - len(self._radii))
+        return every[rows, nearest], normals
+
+    def _box_normals(self, points: Array, part: Array) -> Array:
+        """Return the normals (n, 3) of boxes (n,) where points (n, 3) are nearest to them."""
+        own = (points[:, None] @ self._turns[part])[:, 0] - self._offsets[part]
+        over = np.abs(own) - self._half[part]
+        inside = np.where(over == over.max(axis=1, keepdims=True), 1.0, 0.0)  # the face that is nearest
+        out = np.where((over > 0).any(axis=1, keepdims=True), np.maximum(over, 0.0), inside) * np.sign(own)
+        normals = out / np.maximum(np.sqrt((out * out).sum(axis=1, keepdims=True)), 1e-9)
+        return np.asarray((self._turns[part] @ normals[:, :, None])[:, :, 0])
 
 
 @lru_cache(maxsize=64)
