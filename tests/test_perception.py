@@ -24,6 +24,7 @@ from lunar_rescue.pictures.head import HEIGHT, PITCH, WIDTH, Sight, camera_pose
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.suit import mass_properties, surface_points
 from lunar_rescue.seeing import SeeingEnv
+from reproduce.analysis import perceived
 from reproduce.baselines.scripted import ScriptedPolicy
 from reproduce.experiments.perceive import STATES
 from reproduce.perception import estimator, frames, measuring, training
@@ -448,6 +449,25 @@ def test_a_summary_by_hand() -> None:
     assert [(b["hidden_from"], b["pictures"], b["posture_right"]) for b in told["by_occlusion"]] == [
         (0.0, 1, 1.0), (0.1, 2, 0.5), (0.5, 1, 1.0),
     ]  # fmt: skip
+
+
+def test_what_was_asked_stands_beside_what_was_measured(tmp_path: Path) -> None:
+    """Validation scenes alone are held to it; the 45 of 50 rescues that are kept are enough, 0.84 of rocks are not."""
+    first = {"posture_right": 0.99, "centre_cm_median": 2.0, "attitude_deg_median": 6.0}
+    told = {"first_pictures": {**first, "rock_precision": 0.84, "rock_recall": 0.91}}
+    states = [{"state": state, "of_true_state": kept} for state, kept in zip(STATES, (1.0, 0.95, 0.9), strict=True)]
+    for name in ("", "heldout_"):
+        (tmp_path / f"{name}evaluation.json").write_text(json.dumps(told))
+        split = "validation-heldout" if name else "validation"
+        compared = {"method": "ppo_lstm_demos", "split": split, "states": states}
+        (tmp_path / f"{name}rescues_ppo_lstm_demos.json").write_text(json.dumps(compared))
+    table = perceived.goals(tmp_path)
+    asked = table[table["scenes"] == "validation"].set_index("what")
+    assert asked["met"].tolist() == ["yes", "yes", "no", "no", "yes", "yes"]
+    assert asked.index[-1].endswith("kept on estimates") and asked["measured"].iloc[-1] == "90.0%"
+    rest = table[table["scenes"] == "validation-heldout"]
+    assert len(rest) == 5 and set(rest["met"]) == {""} and "posture right" not in set(rest["what"])
+    assert perceived.goals(tmp_path / "nothing").empty
 
 
 def test_the_loss_is_a_sum(first: Frames) -> None:
