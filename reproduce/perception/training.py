@@ -5,7 +5,6 @@ is interrupted goes on where it was and ends as it would have, bit for bit.
 """
 
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -232,23 +231,17 @@ def train(
     with locked(out, "training"):
         data = _Data(config, out, policies)
         done = load_checkpoint(out, {LEVEL: training}, settings) if resume else Progress(0, 0, 0.0)
-        computed = training.curve[-1]["processor_seconds"] if training.curve else 0.0
-        begun, before = time.monotonic() - done.seconds, _on_all_cores() - computed
+        begun = time.monotonic() - done.seconds
         if not resume:
             data.remove()
             save_checkpoint(out, {LEVEL: training}, done, settings)  # pictures that are taken now are kept, too
         for epoch, terms in _epochs(training, data, done.update):
-            seconds, cores = time.monotonic() - begun, round(_on_all_cores() - before, 1)
-            training.curve.append({"epoch": epoch + 1, "seconds": seconds, "processor_seconds": cores, **terms})
+            seconds = time.monotonic() - begun
+            training.curve.append({"epoch": epoch + 1, "seconds": seconds, **terms})
             save_checkpoint(out, {LEVEL: training}, Progress(epoch + 1, (epoch + 1) * config.scenes, seconds), settings)
             tell(f"epoch {epoch + 1}, {seconds:.0f} s: " + ", ".join(f"{n} {v:.3f}" for n, v in terms.items()))
         _finish(training, out, list(actors))
         data.remove()
-
-
-def _on_all_cores() -> float:
-    """Return how long this process and its workers that have ended have computed [s]."""
-    return sum(os.times()[:4])
 
 
 def _check_checkpoint(out: Path, resume: bool) -> None:
@@ -275,5 +268,5 @@ def _finish(training: EmbeddingTraining, out: Path, actors: list[str]) -> None:
     training.network.eval()
     save_policy(out, LEVEL, {LEVEL: (spec(), training.network)}, training.config)
     write_atomically(out / "progress.csv", lambda path: pd.DataFrame(training.curve).to_csv(path, index=False))
-    times = {name: training.curve[-1][name] for name in ("seconds", "processor_seconds")}
-    write_json(out / "run.json", {**provenance(), "method": LEVEL, "actors": actors, **times})
+    seconds = round(training.curve[-1]["seconds"], 1)
+    write_json(out / "run.json", {**provenance(), "method": LEVEL, "actors": actors, "seconds": seconds})

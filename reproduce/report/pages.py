@@ -139,7 +139,7 @@ def _perception() -> dict[str, Any]:
     """Return what was measured of the embedding, and of policies that act on its estimates."""
     return {
         "goals": perceived.goals(),
-        "occlusion": perceived.occlusion(),
+        "occlusion": perceived.occlusion().reset_index(),
         "states": perceived.states(),
         "training": _result("perception/run.json"),
         "evaluation": _result("perception/evaluation.json"),
