@@ -164,7 +164,7 @@ def goals(folder: Path = FOLDER) -> pd.DataFrame:
                 table.append({**row, "asked": "", "met": ""})
     for told, line in _compared(folder):
         if line["state"] == ESTIMATED and (kept := line["of_true_state"]) is not None:
-            row = {"scenes": told["split"], "what": f"rescues of {METHODS[told['method']].title} kept on estimates"}
+            row = {"scenes": told["split"], "what": f"rescues kept on estimates, {METHODS[told['method']].title}"}
             asked = (f">= {KEPT:.1%}", "yes" if kept >= KEPT else "no") if told["split"] == "validation" else ("", "")
             table.append({**row, "measured": f"{kept:.1%}", "asked": asked[0], "met": asked[1]})
     return pd.DataFrame(table, columns=["scenes", "what", "measured", "asked", "met"])
