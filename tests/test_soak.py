@@ -26,7 +26,7 @@ from lunar_rescue.scenes.splits import TRAIN
 from lunar_rescue.scenes.terrain import KINDS
 
 FIRST_SEED = 1_000_000_000  # of the scenes; the training split, where nothing is tested
-STEPS = 150_000  # of the long run
+STEPS = 300_000  # of the long run, some 5,000 scenes: the world is made anew twice
 LONGEST_HOLD = 40  # steps for which an action may be held
 LARGEST_GROWTH = 0.01  # of memory over the last half of the long run
 
@@ -109,7 +109,7 @@ def test_a_short_run_meets_many_scenes_and_no_fault(env: LunarRescueEnv) -> None
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_long_run_meets_every_kind_of_scene_and_memory_stands_still(env: LunarRescueEnv) -> None:
-    """In the first steps caches fill; from 50,000 on a million steps grew by 0.3 % over their last half."""
+    """Memory grows until the world is first made anew, after some 2,000 scenes; then 20,000 more add 1.5 %."""
     kinds, memory = soak(env, STEPS, every=STEPS // 200)
     wanted = {(posture, task, terrain) for posture, task in task_distribution() for terrain in KINDS}
     assert sum(kinds.values()) >= 8 * len(wanted) and not wanted - set(kinds)
