@@ -19,8 +19,8 @@ from pydantic.dataclasses import dataclass as strict_dataclass
 from lunar_rescue import Scene
 from lunar_rescue.observation import SLICES
 from lunar_rescue.physics.kinematics import solve_arm, solve_arms
-from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL_ARM, INITIAL_WAIST, JOINTS, WAIST, WAIST_WINDOW
-from reproduce.learning.actions import LOWER, UPPER
+from lunar_rescue.physics.robot import ARM_WINDOW, ARMS, INITIAL, JOINTS, WAIST, WINDOW
+from reproduce.learning.actions import ANGLES, LOWER, UPPER
 from reproduce.learning.policy import Actions, Observations, Policy
 from reproduce.storage.errors import UserError
 from reproduce.storage.files import read_json
@@ -29,8 +29,6 @@ Array = NDArray[np.float64]
 Data = TypeVar("Data")
 
 SIDE_FRONT = 0.75  # lying on a side, the front points up or down by less than this sine
-_INITIAL = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
-_WINDOW = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
 DATA = Path(__file__).parent / "planner" / "data"
 SCRIPT, VARIANTS = DATA / "script.json", DATA / "variants.json"
 LONGEST_WAIT = 60  # steps at a way-point that is drawn
@@ -125,7 +123,7 @@ class _Progress:
     points: Variant
     index: int = -1  # of the present way-point
     left: int = 0  # steps that may still be spent on it
-    joints: Array = field(default_factory=_INITIAL.copy)  # it asks for (11,) [rad]
+    joints: Array = field(default_factory=INITIAL.copy)  # it asks for (11,) [rad]
 
     def action(self, angles: NDArray[np.float32]) -> Array:
         """Return Eq. 3's action for joint angles (11,) in Eq. 3's units, going on where a way-point is reached."""
@@ -170,8 +168,7 @@ class ScriptedPolicy(Policy):
         if start or index not in self._progress:
             targets = row[SLICES["P_G"]][:6].reshape(2, 3).astype(np.float64)
             self._progress[index] = _Progress(targets, self._script["get under"][0] + self._script[_kind(row)][0])
-        angles = np.concatenate([row[SLICES["P_A"]][:5], row[SLICES["P_B"]][:5], row[SLICES["P_W"]][:1]])
-        return self._progress[index].action(angles)
+        return self._progress[index].action(row[ANGLES])
 
 
 def _kind(row: NDArray[np.float32]) -> str:
@@ -192,4 +189,4 @@ def _solve(point: WayPoint, targets: Array, before: Array) -> Array:
 
 
 def _to_action(joints: Array) -> Array:
-    return np.clip((joints - _INITIAL) / _WINDOW, -1.0, 1.0)
+    return np.clip((joints - INITIAL) / WINDOW, -1.0, 1.0)

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from lunar_rescue.arrays import Array, Floats
 from lunar_rescue.observation import BOUND, GROUND_POINTS, SLICES
 from lunar_rescue.physics.astronaut import BodyGeometry, body_geometry
-from lunar_rescue.physics.robot import ARM_WINDOW, INITIAL_ARM, INITIAL_WAIST, WAIST_WINDOW
+from lunar_rescue.physics.robot import INITIAL, WINDOW
 from lunar_rescue.pictures.head import Sight
 from lunar_rescue.scenes.postures import Posture, postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.scenes.scene import TASKS
 from lunar_rescue.scenes.targets import approach_sides
 from lunar_rescue.seeing import UP, SeeingEnv
+from reproduce.learning.actions import ANGLES
 from reproduce.perception.network import MIDDLE, OWN, Embedding, EmbeddingSpec, Seen, State, picture_input
 from reproduce.perception.refining import RESTING, Pose, body_points, refine, suit_surface
 from reproduce.storage.paths import RESULTS
@@ -139,27 +140,15 @@ class Estimator:
 
     def _body(self, own: Floats, start: bool, points: Array) -> tuple[BodyGeometry, Array, Array]:
         """Return the geometry of the likely posture, and the body's rotation and centre of gravity."""
-        task = TASKS[int(own[SLICES["I"]].argmax())]
+        task, angles = TASKS[int(own[SLICES["I"]].argmax())], INITIAL + WINDOW * own[ANGLES].astype(np.float64)
         if start:
-            self._recognise(own, task, points)
-        posture = self.posture
-        sides = approach_sides(posture)
-        if start:
-            rotation, centre = self._pose.rotation, self._pose.centre
-            along = rotation[:2, 2] / np.linalg.norm(rotation[:2, 2])
-            left = np.array([-along[1], along[0], 0.0])  # of a head along +x
-            self._side = sides[0] if len(sides) == 1 else (1 if -centre @ left > 0 else -1)
-            self._inwards = self._side * left
+            self._recognise(task, points, angles)
+            self._choose_side()
         else:
-            seen, surface = body_points(points, _angles(own), self._pose.centre), suit_surface(posture.limbs)
-            self._pose, misfit = refine(self._pose, seen, surface)
-            if misfit > LOST:
-                rough = self._rough(posture, task, start)
-                seen = body_points(points, _angles(own), rough.centre)
-                self._pose = min(refine(rough, seen, surface), (self._pose, misfit), key=lambda one: one[1])[0]
-        return body_geometry(posture, self._side, task), self._pose.rotation, self._pose.centre
+            self._follow(task, points, angles)
+        return body_geometry(self.posture, self._side, task), self._pose.rotation, self._pose.centre
 
-    def _recognise(self, own: Floats, task: str, points: Array) -> None:
+    def _recognise(self, task: str, points: Array, angles: Array) -> None:
         """Find the posture, and with it the pose, among the likeliest that have a task, by how well they fit."""
         odds = th.log_softmax(self.seen.posture[0], dim=0).numpy()
         fits = np.array([0.0 if task in kind.tasks else -FIT for kind in kinds()], np.float32)
@@ -167,11 +156,28 @@ class Estimator:
         for index in np.argsort(-(odds + FIT * fits))[:TRIED]:
             posture = kinds()[index]
             rough = self._rough(posture, task, True)
-            seen = body_points(points, _angles(own), rough.centre)
+            seen = body_points(points, angles, rough.centre)
             poses[index], cost = refine(rough, seen, suit_surface(posture.limbs), RESTING)
             fits[index] += 1.0 - cost
         self.belief = odds + FIT * fits
         self._pose = poses[int(self.belief.argmax())]
+
+    def _choose_side(self) -> None:
+        """Note from which side the robot comes, and which way is in, as the body lies now."""
+        sides, (centre, rotation) = approach_sides(self.posture), self._pose
+        along = rotation[:2, 2] / np.linalg.norm(rotation[:2, 2])
+        left = np.array([-along[1], along[0], 0.0])  # of a head along +x
+        self._side = sides[0] if len(sides) == 1 else (1 if -centre @ left > 0 else -1)
+        self._inwards = self._side * left
+
+    def _follow(self, task: str, points: Array, angles: Array) -> None:
+        """Find the pose from the one before, and from the network's where that does not go well."""
+        surface = suit_surface(self.posture.limbs)
+        self._pose, misfit = refine(self._pose, body_points(points, angles, self._pose.centre), surface)
+        if misfit > LOST:
+            rough = self._rough(self.posture, task, False)
+            other = refine(rough, body_points(points, angles, rough.centre), surface)
+            self._pose = min(other, (self._pose, misfit), key=lambda one: one[1])[0]
 
     def _rough(self, posture: Posture, task: str, start: bool) -> Pose:
         """Return the pose in which a body of this posture is nearest to the points that the network sees."""
@@ -201,13 +207,6 @@ def _points(pictures: th.Tensor, sight: Sight) -> Array:
     """Return where every other pixel of every other row lies in the base frame, where something is (n, 3) [m]."""
     points = pictures[0, :3, ::2, ::2].flatten(1).T.numpy().astype(np.float64) + MIDDLE
     return np.asarray(points[sight.depth[::2, ::2].ravel() > 0])
-
-
-def _angles(own: Floats) -> Array:
-    """Return the robot's joints (11,) [rad] of a flat observation."""
-    shares = np.concatenate([own[SLICES["P_A"]][:5], own[SLICES["P_B"]][:5], own[SLICES["P_W"]][:1]])
-    window = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
-    return np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]]) + window * shares
 
 
 class EstimatedEnv(SeeingEnv):

@@ -22,6 +22,7 @@ from lunar_rescue.pictures.stage_set import base_frame
 from lunar_rescue.scenes.postures import postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from lunar_rescue.seeing import SeeingEnv
+from reproduce.learning.actions import ANGLES
 from reproduce.learning.policy import Policy, begin_episode
 from reproduce.storage.files import write_atomically
 
@@ -33,7 +34,7 @@ NOISE = 0.15  # standard deviation of the noise on actions in every other rollou
 MOVED, TURNED, ROLLED = 0.05, np.radians(12.0), 0.3
 LOWEST = 0.1  # m, its key points lie no lower
 _SENSORS = np.r_[SLICES["P_A"], SLICES["P_B"], SLICES["P_W"]]
-_ANGLES = np.r_[0:5, 21:26, 42]  # of these sensors, of Eq. 3's windows about q_init
+_ANGLES = np.flatnonzero(np.isin(_SENSORS, ANGLES))  # of these sensors
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,13 @@ def rock_spots(env: SeeingEnv) -> Floats:
     return spots
 
 
+def rotation_of(observations: Floats) -> Array:
+    """Return the body's axes front, left and head in columns (..., 3, 3), of flat observations (..., SIZE)."""
+    bodies = observations[..., SLICES["P_P"]].astype(np.float64)
+    front, left = bodies[..., 3:6], bodies[..., 6:9]
+    return np.stack([front, left, np.cross(front, left)], axis=-1)
+
+
 @dataclass(frozen=True)
 class Moves:
     """What rollouts did: the robot's sensors, and how the body lay beside how it lay at first, in the base frame."""
@@ -110,12 +118,10 @@ class Moves:
     @classmethod
     def of(cls, rescues: Frames) -> "Moves":
         """Take them from pictures of rollouts."""
-        bodies = rescues.truth[:, SLICES["P_P"]].astype(np.float64)
-        axes = bodies[:, 3:9].reshape(-1, 2, 3)
-        attitudes = np.stack([axes[:, 0], axes[:, 1], np.cross(axes[:, 0], axes[:, 1])], axis=2)
+        centres, attitudes = rescues.truth[:, SLICES["P_P"]][:, :3].astype(np.float64), rotation_of(rescues.truth)
         first = np.maximum.accumulate(np.where(rescues.start, np.arange(len(rescues)), 0))
-        shifts = bodies[:, :3] - bodies[first, :3]
-        return cls(rescues.truth[:, _SENSORS], attitudes @ attitudes[first].transpose(0, 2, 1), shifts)
+        turns = attitudes @ attitudes[first].transpose(0, 2, 1)
+        return cls(rescues.truth[:, _SENSORS], turns, centres - centres[first])
 
 
 def scattered(env: SeeingEnv, seeds: Iterable[int], moves: Moves | None = None, later: int = 0) -> Frames:

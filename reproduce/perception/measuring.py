@@ -9,23 +9,17 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from lunar_rescue import sample_scene
-from lunar_rescue.arrays import Array, Floats
+from lunar_rescue.arrays import Floats
 from lunar_rescue.observation import SLICES
 from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from reproduce.learning.policy import Policy, begin_episode
 from reproduce.perception.estimator import EstimatedEnv
-from reproduce.perception.frames import OUT_OF_VIEW, rock_spots
+from reproduce.perception.frames import OUT_OF_VIEW, rock_spots, rotation_of
 
 SAME_ROCK = 0.10  # m, a rock that was found is a real one when it is this near to it
 #: Shares of the suit that the robot's arms hide, from and to; the last one has its upper edge.
 OCCLUSION = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0)
-
-
-def rotation_of(observation: Floats) -> Array:
-    """Return the body's axes front, left and head in columns (3, 3), of a flat observation (SIZE,)."""
-    front, left = observation[SLICES["P_P"]][3:9].reshape(2, 3).astype(np.float64)
-    return np.column_stack([front, left, np.cross(front, left)])
 
 
 def errors(estimate: Floats, truth: Floats) -> dict[str, float]:

@@ -101,9 +101,9 @@ class EmbeddingTraining:
         restore_optimizer("optimizer", self.optimizer, tensors)
         self.curve = list(numbers["curve"])
 
-    def standardise(self, frames: Frames) -> None:
-        """Take means and deviations of the robot's own sensors from frames."""
-        own = th.from_numpy(frames.truth[:, OWN])
+    def standardise(self, *lots: Frames) -> None:
+        """Take means and deviations of the robot's own sensors from all lots of frames together."""
+        own = th.from_numpy(np.concatenate([frames.truth[:, OWN] for frames in lots]))
         self.network.middle.copy_(own.mean(0))
         self.network.scale.copy_(own.std(0, unbiased=False) + 0.05)
 
@@ -255,7 +255,7 @@ def _epochs(training: EmbeddingTraining, data: _Data, done: int) -> Iterator[tup
     config = training.config
     scenes, rescues = data.first_round()
     if not done:
-        training.standardise(joined([scenes, rescues]))
+        training.standardise(scenes, rescues)
     for epoch in range(done, config.epochs + config.own_epochs):
         if epoch == max(done, config.epochs):
             rescues = joined([rescues, data.second_round(training.network)])

@@ -28,6 +28,7 @@ from reproduce.analysis.rule_tables import read_rules, readable_rules
 from reproduce.analysis.runs import reference_runs, runs_of
 from reproduce.analysis.sentences import answer
 from reproduce.analysis.tables import readable_differences, readable_table1
+from reproduce.analysis.trainings import percent
 from reproduce.bench.training import BATCHES
 from reproduce.experiments.workflow.plan import REPORT, TABLES
 from reproduce.report.archive import codemeta
@@ -130,6 +131,7 @@ def _reality_gap() -> dict[str, Any]:
         "stress": reality_gap.readable_stress(rows).reset_index(),
         "transfer": reality_gap.readable_transfers(reality_gap.simulator_rows()).rename_axis("success").reset_index(),
         "anew": _result("transfer/planner_anew.json"),
+        "percent": percent,
         "summaries": [summary for name in names if (summary := _result(name))],
         "d": disturbances,
     }

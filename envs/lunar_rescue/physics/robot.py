@@ -22,6 +22,8 @@ ARM_WINDOW = np.radians(60.0)  # rad, Eq. 3
 WAIST_WINDOW = np.radians(60.0)  # rad; Eq. 3 leaves the waist out, the same window is our choice
 INITIAL_ARM = np.radians([0.0, 8.0, 0.0, 140.0, 0.0])  # rad, q_init: forearms raised, clear of any posture
 INITIAL_WAIST = 0.0  # rad, upright
+INITIAL = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])  # rad, of arm A, arm B, waist (11,)
+WINDOW = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])  # rad, of the same joints
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,7 @@ class Robot:
         _check_limits(np.array([row[3:7] for row in rows]), limits)
         self.lower, self.upper = limits.lower, limits.upper
         self.torque_limits, self.speed_limits = limits.torque, limits.speed
-        self.initial = np.concatenate([INITIAL_ARM, INITIAL_ARM, [INITIAL_WAIST]])
-        self.window = np.array([ARM_WINDOW] * 10 + [WAIST_WINDOW])
+        self.initial, self.window = INITIAL.copy(), WINDOW.copy()
         self._torque_list = self.torque_limits.tolist()
         self._reach_per_step = JOINT_SPEED * CONTROL_STEP
         self._keep_apart(by_link)
