@@ -26,7 +26,7 @@ from lunar_rescue.scenes.splits import TRAIN
 from lunar_rescue.scenes.terrain import KINDS
 
 FIRST_SEED = 1_000_000_000  # of the scenes; the training split, where nothing is tested
-STEPS = 300_000  # of the long run, some 5,000 scenes: the world is made anew twice
+STEPS = 150_000  # of the long run, some 1,370 scenes: the world is made anew twice, first before the middle
 LONGEST_HOLD = 40  # steps for which an action may be held
 LARGEST_GROWTH = 0.01  # of memory over the last half of the long run
 
@@ -109,7 +109,7 @@ def test_a_short_run_meets_many_scenes_and_no_fault(env: LunarRescueEnv) -> None
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_long_run_meets_every_kind_of_scene_and_memory_stands_still(env: LunarRescueEnv) -> None:
-    """Resets alone add memory until the world is first made anew, after 2,048 scenes; 20,000 more then add 1.5 %."""
+    """Kept shapes add memory until the world is first made anew; from then on it stands still."""
     kinds, memory = soak(env, STEPS, every=STEPS // 200)
     wanted = {(posture, task, terrain) for posture, task in task_distribution() for terrain in KINDS}
     assert sum(kinds.values()) >= 8 * len(wanted) and not wanted - set(kinds)
