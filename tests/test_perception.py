@@ -29,9 +29,9 @@ from reproduce.baselines.scripted import ScriptedPolicy
 from reproduce.experiments.perceive import STATES
 from reproduce.perception import estimator, frames, measuring, training
 from reproduce.perception.estimator import LEVEL, Estimator, fit_body, fit_resting_body, kinds, read_rocks
-from reproduce.perception.frames import Frames, Moves, joined, rock_spots, rollouts, scattered
+from reproduce.perception.frames import Frames, Moves, joined, rocks_in_view, rocks_shown, rollouts, scattered
 from reproduce.perception.losses import loss_of, total, turned
-from reproduce.perception.network import COLUMNS, OWN, ROWS, Embedding, Seen, _camera, picture_input, spec
+from reproduce.perception.network import MIDDLE, OWN, SQUARE, Embedding, Seen, _camera, picture_input, spec
 from reproduce.perception.refining import Pose, SuitSurface, body_points, refine
 from reproduce.perception.training import EmbeddingConfig, EmbeddingTraining
 from reproduce.storage.policies import save_policy
@@ -49,6 +49,9 @@ def first(seeing: SeeingEnv) -> Frames:
     return scattered(seeing, range(12))
 
 
+SQUARES = 5, HEIGHT // SQUARE, WIDTH // SQUARE
+
+
 class Oracle(th.nn.Module):
     """Stands for a network that is right: what it puts out is read from the environment's true observation."""
 
@@ -62,7 +65,7 @@ class Oracle(th.nn.Module):
         points = th.cat([body[:, None, :3], body[:, 15:].view(1, -1, 3)], dim=1)
         odds = th.full((1, 20), -9.0)
         odds[0, [kind.name for kind in kinds()].index(self.env.episode.scene.posture)] = 9.0
-        rocks = th.full((1, 5, ROWS, COLUMNS), -9.0)
+        rocks = th.full((1, *SQUARES), -9.0)
         for cell, rock in enumerate(self.env.truth[SLICES["P_E"]].reshape(-1, 5)):
             if rock[4]:
                 rocks[0, :, 0, cell] = th.tensor([9.0, *rock[:4]])
@@ -167,14 +170,13 @@ def test_the_pose_is_that_of_the_picture(seeing: SeeingEnv, monkeypatch: pytest.
 
 
 def test_rocks_are_read_once_each_by_hand() -> None:
-    cells = np.full((5, ROWS, COLUMNS), -9.0, np.float32)
-    for column, rock in enumerate(
-        [(2.0, 1.0, 0.0, 0.1, 0.06), (3.0, 1.05, 0.0, 0.1, 0.07), (0.5, 1.3, 0.0, 0.1, 0.08)]
-    ):
-        cells[:, 4, column] = rock
-    found = read_rocks(cells)
-    assert found[:, 0].tolist() == pytest.approx([1.05, 1.3])  # the surer of two that are 5 cm apart
-    assert found[0, 4] == pytest.approx(1 / (1 + np.exp(-3.0)))
+    """Two squares that name places 5 cm apart show one rock, at their mean by odds; of a third there is too little."""
+    squares, odds = np.full(SQUARES, -9.0, np.float32), np.log(np.array([0.9, 0.6, 0.5, 0.3]) / [0.1, 0.4, 0.5, 0.7])
+    for column, (x, radius) in enumerate([(1.0, 0.06), (1.05, 0.09), (1.3, 0.08), (1.6, 0.1)]):
+        squares[:, 4, column] = odds[column], x, 0.0, 0.1, radius
+    found = read_rocks(squares)
+    assert found[:, 0].tolist() == pytest.approx([1.02, 1.3]) and found[0, 3] == pytest.approx(0.072)
+    assert found[:, 4].tolist() == pytest.approx([6.0, 2.0])  # pixels
 
 
 def test_a_pixel_s_point_is_where_its_depth_says(seeing: SeeingEnv) -> None:
@@ -316,10 +318,14 @@ def test_moves_are_those_of_a_rollout(seeing: SeeingEnv) -> None:
 def test_rocks_in_view_lie_on_their_pixels(seeing: SeeingEnv) -> None:
     for seed in range(6):
         seeing.reset_flat(seed=seed)
-        for x, y in rock_spots(seeing):
-            if x >= 0:
-                around = seeing.head.parts[max(0, int(y) - 2) : int(y) + 3, max(0, int(x) - 2) : int(x) + 3]
-                assert (around >= 3).any()
+        shown, rows = rocks_shown(seeing), seeing.truth[SLICES["P_E"]].reshape(-1, 5)
+        assert ((shown > 0) == (seeing.head.parts >= 3)).all()
+        pictures = picture_input(seeing.sight.colour[None], seeing.sight.depth[None], seeing.truth[None])
+        places = pictures[0, :3].permute(1, 2, 0).numpy() + MIDDLE
+        for index in np.flatnonzero(rocks_in_view(seeing)):
+            assert (shown == index + 1).sum() >= 4 and rows[index, 4] == 1
+            seen = places[shown == index + 1][:, :2] - rows[index, :2]
+            assert np.linalg.norm(seen, axis=1).max() < 2 * rows[index, 3]
 
 
 def test_losses_by_hand(first: Frames) -> None:
@@ -330,7 +336,7 @@ def test_losses_by_hand(first: Frames) -> None:
     zeros = th.zeros(len(first), 1)
     ground = th.cat([truth[:, SLICES["P_T"]][:, 3:], zeros], dim=1)
     odds = 50.0 * th.nn.functional.one_hot(th.from_numpy(first.posture), 20).float()
-    motion, rocks = body[:, 9:15].view(-1, 2, 3), th.full((len(first), 5, ROWS, COLUMNS), -50.0)
+    motion, rocks = body[:, 9:15].view(-1, 2, 3), th.full((len(first), *SQUARES), -50.0)
     seen = Seen(points, zeros.repeat(1, 14), motion, zeros.repeat(1, 2), odds, ground, rocks)
     terms = loss_of(seen, first)
     assert [float(terms[name]) for name in ("points", "motion", "posture", "ground")] == pytest.approx(
@@ -382,7 +388,17 @@ def test_a_small_training_lowers_the_loss(seeing: SeeingEnv, first: Frames) -> N
 
 @pytest.mark.process
 def test_a_training_goes_on_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = EmbeddingConfig(scenes=4, rescues=2, own_rescues=1, epochs=1, own_epochs=2, batch=4, chunks=1, length=4)
+    sizes = {
+        "scenes": 4,
+        "rescues": 2,
+        "own_rescues": 1,
+        "epochs": 2,
+        "early": 1,
+        "own_epochs": 1,
+        "batch": 4,
+        "length": 4,
+    }
+    config = EmbeddingConfig(**sizes)
 
     def run(name: str, resume: bool = False) -> Path:
         training.train(config, [ScriptedPolicy()], tmp_path / name, resume=resume, tell=lambda line: None)

@@ -27,7 +27,7 @@ from reproduce.experiments.evaluate import find_policy
 from reproduce.experiments.methods import METHODS
 from reproduce.experiments.perceive import ESTIMATED
 from reproduce.perception.estimator import FOLDER, EstimatedEnv, load_embedding
-from reproduce.perception.frames import OUT_OF_VIEW, rock_spots
+from reproduce.perception.frames import rocks_shown
 from reproduce.perception.measuring import ERRORS, errors, first_picture
 from reproduce.storage.files import read_json
 
@@ -78,7 +78,7 @@ def skeletons(seed: int, count: int, where: str = "scripted", folder: Path = FOL
         observation, _ = env.reset_flat(options={"scene": sample_scene(seed)})
         while not done:
             frames.append(
-                (env.sight.colour, float(env.episode.robot.angles[WAIST]), observation, env.truth, rock_spots(env))
+                (env.sight.colour, float(env.episode.robot.angles[WAIST]), observation, env.truth, rocks_shown(env))
             )
             rows.append({"step": env.episode.steps, "process": env.episode.process, **errors(observation, env.truth)})
             action = policy.act(observation[None], np.array([env.episode.steps == 0]))[0]
@@ -91,7 +91,7 @@ def skeletons(seed: int, count: int, where: str = "scripted", folder: Path = FOL
     return figure, pd.DataFrame(rows)
 
 
-def _draw(axis: Axes, colour: Any, waist: float, estimate: Floats, truth: Floats, spots: Floats) -> None:
+def _draw(axis: Axes, colour: Any, waist: float, estimate: Floats, truth: Floats, rocks: Any) -> None:
     axis.imshow(colour, extent=(0, WIDTH, HEIGHT, 0))
     for observation, shade in ((truth, _TRUE), (estimate, _SEEN)):
         points = pixels(observation[SLICES["P_P"]][15:].reshape(-1, 3).astype(np.float64), waist)
@@ -101,8 +101,8 @@ def _draw(axis: Axes, colour: Any, waist: float, estimate: Floats, truth: Floats
     said = estimate[SLICES["P_E"]].reshape(-1, 5)
     tops = pixels(said[said[:, 4] > 0, :3].astype(np.float64).reshape(-1, 3), waist)
     axis.scatter(tops[:, 0], tops[:, 1], s=60, facecolors="none", edgecolors=_SEEN)
-    seen = spots[spots[:, 0] > OUT_OF_VIEW]
-    axis.scatter(seen[:, 0], seen[:, 1], s=12, color=_TRUE)
+    y, x = np.nonzero(rocks)
+    axis.scatter(x + 0.5, y + 0.5, s=1, color=_TRUE)
     axis.set(xlim=(0, WIDTH), ylim=(HEIGHT, 0), xticks=[], yticks=[])
 
 
@@ -140,7 +140,7 @@ def worst(rows: pd.DataFrame, count: int, folder: Path = FOLDER) -> Figure:
         for axis, seed in zip(axes[0], rows.nlargest(count, "keypoints_cm")["seed"], strict=True):
             row = first_picture(env, int(seed))
             estimate = env.estimator.fill(env.sight, env.truth.copy(), True)
-            _draw(axis, env.sight.colour, 0.0, estimate, env.truth, rock_spots(env))
+            _draw(axis, env.sight.colour, 0.0, estimate, env.truth, rocks_shown(env))
             words = f"{row['posture']}\nas {row['recognised']}, {row['keypoints_cm']:.0f} cm"
             axis.set_title(words.replace("_", " "), fontsize=8)
     return figure

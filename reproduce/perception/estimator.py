@@ -19,15 +19,16 @@ from lunar_rescue.scenes.scene import TASKS
 from lunar_rescue.scenes.targets import approach_sides
 from lunar_rescue.seeing import UP, SeeingEnv
 from reproduce.learning.actions import ANGLES
-from reproduce.perception.network import MIDDLE, OWN, Embedding, EmbeddingSpec, Seen, State, picture_input
+from reproduce.perception.network import MIDDLE, OWN, SQUARE, Embedding, EmbeddingSpec, Seen, State, picture_input
 from reproduce.perception.refining import RESTING, Pose, body_points, refine, suit_surface
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.policies import load_networks
 
 FOLDER = RESULTS / "perception"
 LEVEL = "embedding"  # name of the network in the files of weights
-SURE = 0.5  # probability from which on a cell is taken to hold a rock
-APART = 0.09  # m, two rocks are no nearer to each other
+SHOWN = 0.2  # share of a square from which on it counts as one that shows a rock
+FEWEST = 1.5  # px, of a rock that is taken for one
+APART = 0.15  # m, what is said of rocks no further apart is said of one
 LOWEST = 0.03  # m, targets lie no lower
 TRIED = 3  # postures, the likeliest, whose suits are put onto the first picture
 LOST = 0.15  # misfit from which on the network is asked where the body is; the right posture's is nearly always less
@@ -72,15 +73,19 @@ def fit_resting_body(points: Array, weights: Array, model: Array, posture: Postu
 
 
 def read_rocks(rocks: Floats) -> Floats:
-    """Return tops [m], radius [m] and probability of the rocks in a map of cells (5, ROWS, COLUMNS), (m, 5)."""
-    rows = rocks.reshape(5, -1).T
-    rows = np.column_stack([rows[:, 1:], 1 / (1 + np.exp(-rows[:, 0]))])
+    """Return tops [m], radius [m] and pixels of the rocks in a map of squares (5, HEIGHT / 2, WIDTH / 2), (m, 5).
+
+    Squares that show a rock are one rock's where they say that its top is in the same place.
+    """
+    odds, rows = 1 / (1 + np.exp(-rocks[0].ravel())), rocks[1:].reshape(4, -1).T
+    rows, odds = rows[odds > SHOWN], odds[odds > SHOWN]
     found: list[Any] = []
-    for row in rows[np.argsort(-rows[:, 4])]:
-        if row[4] < SURE or len(found) == MAX_ROCKS:
-            break
-        if all(np.hypot(*(row[:2] - other[:2])) > APART for other in found):
-            found.append(row)
+    while len(rows) and len(found) < MAX_ROCKS:
+        own = np.hypot(*(rows[:, :2] - rows[odds.argmax(), :2]).T) < APART
+        pixels = SQUARE**2 * odds[own].sum()
+        if pixels > FEWEST:
+            found.append([*np.average(rows[own], axis=0, weights=odds[own]), pixels])
+        rows, odds = rows[~own], odds[~own]
     return np.array(found, np.float32).reshape(-1, 5)
 
 

@@ -27,7 +27,6 @@ from reproduce.learning.policy import Policy, begin_episode
 from reproduce.storage.files import write_atomically
 
 IN_VIEW = 4  # px, a rock that shows fewer is not expected to be found
-OUT_OF_VIEW = -1000.0  # px, stands for the place of such a rock
 NOISE = 0.15  # standard deviation of the noise on actions in every other rollout, so that frames are of mistakes, too
 #: How else than in a rollout the body lies in a picture without physics: standard deviations of its place [m] and of
 #: its attitude [rad], and the share that is rolled about its length by any angle.
@@ -44,7 +43,7 @@ class Frames:
     colour: NDArray[np.uint8]  # (n, HEIGHT, WIDTH, 3)
     depth: NDArray[np.uint16]  # (n, HEIGHT, WIDTH) [mm]
     truth: Floats  # flat observations (n, SIZE)
-    spots: Floats  # where the rocks are in the picture, in the observation's order (n, MAX_ROCKS, 2) [px]
+    rocks: NDArray[np.uint8]  # which rock a pixel shows, from 1 in the observation's order, or 0 (n, HEIGHT, WIDTH)
     posture: NDArray[np.int64]  # number of the posture of the 20, -1 of any other (n,)
     start: NDArray[np.bool_]  # whether an episode begins here (n,)
 
@@ -80,24 +79,25 @@ def label(env: SeeingEnv) -> Frames:
         env.sight.colour[None],
         env.sight.depth[None],
         env.truth[None],
-        rock_spots(env)[None],
+        rocks_shown(env)[None],
         np.array([number]),
         np.array([e.steps == 0]),
     )
 
 
-def rock_spots(env: SeeingEnv) -> Floats:
-    """Return where rocks are seen (MAX_ROCKS, 2) [px], in the observation's order: the pixel in the middle of each."""
-    e, spots = env.episode, np.full((MAX_ROCKS, 2), OUT_OF_VIEW, np.float32)
+def rocks_shown(env: SeeingEnv) -> NDArray[np.uint8]:
+    """Return which rock each pixel shows, from 1 in the observation's order, or 0 for none (HEIGHT, WIDTH)."""
+    e, parts = env.episode, env.head.parts
     if not e.scene.rocks:
-        return spots
+        return np.zeros(parts.shape, np.uint8)
     rows = env.truth[SLICES["P_E"]].reshape(MAX_ROCKS, 5)[: len(e.scene.rocks), :3]
-    order = cdist(rows, e.observer.to_base(e.marks[::5])).argmin(axis=1)
-    for row, rock in enumerate(order):
-        seen = np.argwhere(env.head.parts == 3 + rock)[:, ::-1]
-        if len(seen) >= IN_VIEW:
-            spots[row] = seen[np.linalg.norm(seen - seen.mean(axis=0), axis=1).argmin()] + 0.5
-    return spots
+    order = cdist(e.observer.to_base(e.marks[::5]), rows).argmin(axis=1)
+    return np.concatenate([[0, 0, 0], 1 + order]).astype(np.uint8)[parts]
+
+
+def rocks_in_view(env: SeeingEnv) -> NDArray[np.bool_]:
+    """Return which of the rocks (MAX_ROCKS,), in the observation's order, show enough to be found."""
+    return np.bincount(rocks_shown(env).ravel(), minlength=MAX_ROCKS + 1)[1:] >= IN_VIEW
 
 
 def rotation_of(observations: Floats) -> Array:

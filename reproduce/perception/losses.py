@@ -5,22 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import torch as th
-from numpy.typing import NDArray
 from torch import nn
 
 from lunar_rescue.observation import GROUND_POINTS, SLICES
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from reproduce.perception.frames import Frames
-from reproduce.perception.network import CELL, COLUMNS, MIDDLE, ROWS, SPEED, SPIN, SPREAD, Seen
+from reproduce.perception.network import MIDDLE, SPEED, SPIN, SPREAD, SQUARE, Seen
 
 TURN, MOVE = math.radians(8.0), 0.06  # rad and m, what they show is turned and moved by up to this
-NEIGHBOURS = 0.1  # weight of the cells around a rock, which may as well have been taken for it
 DOUBTS = (-7.0, 3.0)  # least and greatest logarithm of the ground's variance
 
 
-def loss_of(
-    seen: Seen, frames: Frames, shift: tuple[int, int] = (0, 0), *, still: bool = False
-) -> dict[str, th.Tensor]:
+def loss_of(seen: Seen, frames: Frames, *, still: bool = False) -> dict[str, th.Tensor]:
     """Return the terms of the loss, by name; the ground counts in pictures that begin an episode.
 
     So does motion where pictures are ``still``, with no motion from one to the next that could be told.
@@ -41,7 +37,7 @@ def loss_of(
     if start.any():
         ground = truth[start][:, SLICES["P_T"]][:, 3:] - seen.ground[start, : 2 * GROUND_POINTS]
         terms["ground"] = _gaussian(ground, seen.ground[start, 2 * GROUND_POINTS :].clamp(*DOUBTS))
-    return terms | _rock_loss(seen.rocks, truth, frames.spots + np.array(shift))
+    return terms | _rock_loss(seen.rocks, truth, th.from_numpy(frames.rocks[: len(seen.rocks)]))
 
 
 def _gaussian(error: th.Tensor, variance: th.Tensor) -> th.Tensor:
@@ -50,21 +46,16 @@ def _gaussian(error: th.Tensor, variance: th.Tensor) -> th.Tensor:
     return (likelihood * th.exp(0.5 * variance).detach()).mean()
 
 
-def _rock_loss(rocks: th.Tensor, truth: th.Tensor, spots: NDArray[np.float32]) -> dict[str, th.Tensor]:
-    """Return the losses of finding rocks and of where they are."""
-    cells = np.floor(spots / CELL).astype(np.int64)
-    inside = ((cells >= 0) & (cells < [COLUMNS, ROWS])).all(axis=-1)
-    index, rock = np.nonzero(inside)
-    column, row = cells[index, rock].T
-    present = th.zeros(len(rocks), 1, ROWS, COLUMNS)
-    present[index, 0, row, column] = 1.0
-    near = nn.functional.max_pool2d(present, 3, 1, 1)
-    weights = th.where((near > 0) & (present == 0), NEIGHBOURS, 1.0)
-    found = nn.functional.binary_cross_entropy_with_logits(rocks[:, :1], present, weights, reduction="sum")
+def _rock_loss(seen: th.Tensor, truth: th.Tensor, shown: th.Tensor) -> dict[str, th.Tensor]:
+    """Return the losses of finding rocks and of where they are, for what pixels show (n, HEIGHT, WIDTH)."""
+    pixels = nn.functional.pixel_unshuffle(shown[:, None].float(), SQUARE)  # of each square along the second axis
+    share = (pixels > 0).float().mean(dim=1)
+    found = nn.functional.binary_cross_entropy_with_logits(seen[:, 0], share, reduction="sum")
+    index, row, column = th.nonzero(share, as_tuple=True)
+    rock = pixels.amax(dim=1)[index, row, column].long() - 1
     places = truth[:, SLICES["P_E"]].view(-1, MAX_ROCKS, 5)[index, rock, :4]
-    away = nn.functional.smooth_l1_loss(rocks[index, 1:, row, column], places, reduction="sum", beta=0.02)
-    number = max(len(index), 1)
-    return {"found": found / number, "places": 10.0 * away / number}
+    away = nn.functional.smooth_l1_loss(seen[index, 1:, row, column], places, reduction="sum", beta=0.02)
+    return {"found": found / share.sum().clamp(1.0), "places": 10.0 * away / max(len(index), 1)}
 
 
 def total(terms: dict[str, th.Tensor]) -> th.Tensor:

@@ -15,7 +15,7 @@ from lunar_rescue.scenes.postures import all_postures
 from lunar_rescue.scenes.rocks import MAX_ROCKS
 from reproduce.learning.policy import Policy, begin_episode
 from reproduce.perception.estimator import EstimatedEnv
-from reproduce.perception.frames import OUT_OF_VIEW, rock_spots, rotation_of
+from reproduce.perception.frames import rocks_in_view, rotation_of
 
 SAME_ROCK = 0.10  # m, a rock that was found is a real one when it is this near to it
 #: Shares of the suit that the robot's arms hide, from and to; the last one has its upper edge.
@@ -70,7 +70,7 @@ def first_picture(env: EstimatedEnv, seed: int) -> dict[str, Any]:
         "probability": float(np.exp(belief.max()) / np.exp(belief).sum()),
         "hidden": env.head.hidden(env.episode),
         **errors(estimate, env.truth),
-        **rocks_found(estimate, env.truth, rock_spots(env)[:, 0] > OUT_OF_VIEW),
+        **rocks_found(estimate, env.truth, rocks_in_view(env)),
     }
 
 

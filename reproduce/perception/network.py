@@ -2,12 +2,13 @@
 
 ```
 colour, depth -> points in the base frame, colours -> 5 convolutions with group norm -> 192 features --+
-features of a cell (4 x 4 px) and of what is around it -> rocks, and cells to look at -> their points --+
+features of a cell (4 x 4 px) and of what is around it -> cells to look at -> their points -------------+
 own sensors, standardised ------------------------------------------------------------------------------+-> LSTM
 all of these and the LSTM -> two fully connected layers -> body, posture, motion, ground
 ```
 Depth and the waist's angle say where in the base frame each pixel lies, and that is what the network sees. For each
-point of the body it looks at some cells, takes the mean of where they are, and adds what lies between.
+point of the body it looks at some cells, takes the mean of where they are, and adds what lies between. Of each square
+of 2 x 2 px it says how much of it shows a rock, and which, by where that one's top is.
 """
 
 from dataclasses import dataclass
@@ -27,8 +28,9 @@ from lunar_rescue.scenes.suit import KEYPOINT_NAMES
 from lunar_rescue.seeing import UP
 from reproduce.storage.policies import Spec
 
-CELL = 4  # px, side of a cell in which at most one rock is found
+CELL = 4  # px, side of a cell
 ROWS, COLUMNS = HEIGHT // CELL, WIDTH // CELL
+SQUARE = 2  # px, side of the squares that are told to show a rock or not
 POINTS = 1 + len(KEYPOINT_NAMES)  # centre of gravity, then the skeleton
 FEATURES = 192
 #: What of the flat observation the network sees besides pictures: arms, waist, up vector, task.
@@ -58,7 +60,8 @@ class Seen(NamedTuple):
     doubt: th.Tensor  # variance of the two (n, 2)
     posture: th.Tensor  # logarithms of the odds of the 20 postures (n, 20)
     ground: th.Tensor  # heights along the ways in, then their variance (n, 2 GROUND_POINTS + 1) [0.1 m]
-    rocks: th.Tensor  # of each cell: log odds of a rock, its top (3) and radius [m] (n, 5, ROWS, COLUMNS)
+    #: Of each episode's first picture and each square: log odds of a rock in a pixel, its top (3) and radius [m].
+    rocks: th.Tensor  # (n / length, 5, HEIGHT / SQUARE, WIDTH / SQUARE)
 
 
 @checked
@@ -92,18 +95,20 @@ class Embedding(nn.Module):
 
     def __init__(self, hidden_units: int = 128) -> None:
         super().__init__()
-        # Cells overlap in what they see: a rock of some pixels is whole in one of them.
-        self.cells = nn.Sequential(_layer(6, 16, 3, 2, 1), _layer(16, 32, 3, 2, 1), _layer(32, 32, 3, 1, 1))
+        self.squares = _layer(6, 16, 3, 2, 1)
+        self.cells = nn.Sequential(_layer(16, 32, 3, 2, 1), _layer(32, 32, 3, 1, 1))
         self.whole = nn.Sequential(_layer(32, 64, 3, 2, 1), _layer(64, 96, 3, 2, 1))
         self.features = nn.Sequential(nn.Flatten(), nn.Linear(96 * 5 * 6, FEATURES), nn.ReLU())
         self.around = nn.Conv2d(96, 16, 1)
-        found = nn.Conv2d(48, 5 + POINTS, 1)
-        self.places = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), found)
+        self.places = nn.Sequential(nn.Conv2d(48, 48, 3, 1, 1), nn.ReLU(), nn.Conv2d(48, POINTS, 1))
+        shown = nn.Conv2d(32, 5, 1)
+        self.beside = nn.Sequential(nn.Conv2d(48, 32, 3, 1, 1), nn.ReLU(), nn.Conv2d(32, 24, 1))
+        self.rocks = nn.Sequential(nn.Conv2d(40, 32, 3, 1, 1), nn.ReLU(), shown)
         inputs = FEATURES + len(OWN) + 3 * POINTS
         self.lstm = nn.LSTM(inputs, hidden_units)
         last = nn.Linear(FEATURES, sum(PARTS.values()))
         self.head = nn.Sequential(nn.Linear(inputs + hidden_units, FEATURES), nn.ReLU(), last)
-        nn.init.constant_(found.get_parameter("bias")[:1], -4.0)  # hardly any cell has a rock
+        nn.init.constant_(shown.get_parameter("bias")[:1], -4.0)  # hardly any square shows a rock
         self.register_buffer("middle", th.zeros(len(OWN)))
         self.register_buffer("scale", th.ones(len(OWN)))
 
@@ -120,28 +125,35 @@ class Embedding(nn.Module):
             length: Pictures of each episode.
             state: The LSTM's, (1, n / length, h) twice; None where episodes begin.
         """
-        fine = self.cells(pictures)
-        coarse = self.whole(fine)
+        fine = self.squares(pictures)
+        cells = self.cells(fine)
+        coarse = self.whole(cells)
         around = nn.functional.interpolate(self.around(coarse), size=(ROWS, COLUMNS), mode="nearest")
-        places, cells = self.places(th.cat([fine, around], dim=1)), _cell_points(pictures)
-        looked_at = places[:, 5:].flatten(2).softmax(dim=2) @ cells.flatten(2).transpose(1, 2)
+        cells = th.cat([cells, around], dim=1)
+        looked_at = self.places(cells).flatten(2).softmax(dim=2) @ _points(pictures, CELL).flatten(2).transpose(1, 2)
         away = ((looked_at - pictures.new_tensor(MIDDLE)) / SPREAD).flatten(1)
         known = ((own - self.middle) / self.scale).clamp(-5.0, 5.0)
         inputs = th.cat([self.features(coarse), known, away], dim=1)
         hidden, after = self.lstm(inputs.view(length, -1, inputs.shape[1]), state)
         joined = self.head(th.cat([inputs, hidden.reshape(len(inputs), -1)], dim=1))
         points, spread, motion, doubt, posture, ground = joined.split(list(PARTS.values()), dim=1)
-        tops = cells + 0.1 * places[:, 1:4]
-        rocks = th.cat([places[:, :1], tops, 0.05 + 0.05 * places[:, 4:5]], dim=1)
         moving = motion.view(-1, 2, 3) * motion.new_tensor([SPEED, SPIN])[:, None]
         placed = looked_at + SPREAD * points.view(-1, POINTS, 3)
         spread, doubt = spread.clamp(LEAST, MOST), doubt.clamp(LEAST, MOST)
+        first = slice(len(pictures) // length)  # rocks stay where they are, so one look is enough
+        rocks = self._rocks(pictures[first], fine[first], cells[first])
         return Seen(placed, spread, moving, doubt, posture, ground, rocks), after
 
+    def _rocks(self, pictures: th.Tensor, fine: th.Tensor, cells: th.Tensor) -> th.Tensor:
+        beside = nn.functional.interpolate(self.beside(cells), size=fine.shape[2:], mode="nearest")
+        shown = self.rocks(th.cat([fine, beside], dim=1))
+        tops = _points(pictures, SQUARE) + 0.1 * shown[:, 1:4]
+        return th.cat([shown[:, :1], tops, 0.05 + 0.05 * shown[:, 4:]], dim=1)
 
-def _cell_points(pictures: th.Tensor) -> th.Tensor:
-    """Return the mean point of each cell in the base frame, (n, 3, ROWS, COLUMNS) [m]."""
-    return nn.functional.avg_pool2d(pictures[:, :3], CELL) + pictures.new_tensor(MIDDLE)[:, None, None]
+
+def _points(pictures: th.Tensor, side: int) -> th.Tensor:
+    """Return mean points of squares of so many pixels in the base frame, (n, 3, HEIGHT / side, WIDTH / side) [m]."""
+    return nn.functional.avg_pool2d(pictures[:, :3], side) + pictures.new_tensor(MIDDLE)[:, None, None]
 
 
 def picture_input(colour: NDArray[np.uint8], depth: NDArray[np.uint16], observations: NDArray[np.float32]) -> th.Tensor:

@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch as th
 from pydantic import NonNegativeInt, PositiveInt
 from torch import nn
 
+from lunar_rescue.pictures.head import HEIGHT, WIDTH
 from lunar_rescue.scenes.records import checked
 from lunar_rescue.seeing import SeeingEnv
 from reproduce.learning.policy import Policy
@@ -54,13 +56,13 @@ class EmbeddingConfig:
     """What a training of the embedding looks at and for how long; none of it is in the paper."""
 
     seed: NonNegativeInt = 0  # of weights, minibatches and scenes
-    scenes: PositiveInt = 5000  # that are looked at as they begin
-    later: NonNegativeInt = 2  # more pictures of each, with arms and body where rescues bring theirs
-    rescues: PositiveInt = 120  # acted out on true states in the first round
-    own_rescues: PositiveInt = 60  # acted out on the embedding's estimates before the second round
-    epochs: PositiveInt = 10  # of the first round
-    early: NonNegativeInt = 4  # of these, with no more of a scene than its first picture
-    own_epochs: PositiveInt = 4  # of the second round
+    scenes: PositiveInt = 6000  # that are looked at as they begin
+    later: NonNegativeInt = 1  # more pictures of each, with arms and body where rescues bring theirs
+    rescues: PositiveInt = 80  # acted out on true states in the first round
+    own_rescues: PositiveInt = 40  # acted out on the embedding's estimates before the second round
+    epochs: PositiveInt = 15  # of the first round
+    early: NonNegativeInt = 13  # of these, with no more of a scene than its first picture, and without rescues
+    own_epochs: PositiveInt = 2  # of the second round
     batch: PositiveInt = 16  # scenes of a minibatch
     chunks: PositiveInt = 1  # pieces of rescues of a minibatch
     length: PositiveInt = 12  # pictures of a piece
@@ -108,9 +110,10 @@ class EmbeddingTraining:
         self.network.scale.copy_(own.std(0, unbiased=False) + 0.05)
 
     def epoch(self, scenes: Frames, rescues: Frames, epoch: int) -> dict[str, float]:
-        """Learn from each scene's pictures once and from pieces of rescues; return means of the loss's terms."""
+        """Learn from each scene's pictures once, and later from rescues, too; return means of the loss's terms."""
         config, epochs = self.config, self.config.epochs + self.config.own_epochs
-        rng, views = np.random.default_rng([config.seed, epoch]), 1 if epoch < config.early else 1 + config.later
+        early, rng = epoch < config.early, np.random.default_rng([config.seed, epoch])
+        views = 1 if early else 1 + config.later
         looks = rng.permutation(_pieces(scenes, 1 + config.later))[:, :views]
         pieces = _pieces(rescues, config.length)
         steps = max(1, len(looks) // config.batch)
@@ -122,15 +125,16 @@ class EmbeddingTraining:
             self.optimizer.param_groups[0]["lr"] = config.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * done))
             chosen = looks[step * config.batch : (step + 1) * config.batch]
             terms = self._terms(scenes.rows(chosen.T.ravel()), views, rng, still=True)
-            chosen = pieces[rng.integers(len(pieces), size=config.chunks)]
-            more = self._terms(rescues.rows(chosen.T.ravel()), config.length, rng)
+            if not early:
+                chosen = pieces[rng.integers(len(pieces), size=config.chunks)]
+                more = self._terms(rescues.rows(chosen.T.ravel()), config.length, rng)
+                terms |= {f"later {name}": term for name, term in more.items()}
             self.optimizer.zero_grad()
-            (total(terms) + total(more)).backward()
+            total(terms).backward()
             nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
             self.optimizer.step()
-            terms |= {f"later {name}": term for name, term in more.items()}
             told.append({name: term.item() for name, term in terms.items()})
-        return {name: float(np.mean([row[name] for row in told if name in row])) for name in told[0]}
+        return dict(pd.DataFrame(told).mean())
 
     def _terms(
         self, frames: Frames, length: int, rng: np.random.Generator, still: bool = False
@@ -140,9 +144,10 @@ class EmbeddingTraining:
         right, down = (int(shift) for shift in rng.integers(-SHIFT, SHIFT + 1, 2))
         padded = nn.functional.pad(pictures, (SHIFT,) * 4, mode="replicate")
         top, left = SHIFT - down, SHIFT - right
-        moved = padded[:, :, top : top + pictures.shape[2], left : left + pictures.shape[3]]
-        seen, _ = self.network(moved, th.from_numpy(frames.truth[:, OWN]), length, None)
-        return loss_of(seen, frames, (right, down), still=still)
+        window = slice(top, top + HEIGHT), slice(left, left + WIDTH)
+        rocks = np.pad(frames.rocks, [(0, 0), (SHIFT, SHIFT), (SHIFT, SHIFT)], mode="edge")[:, *window]
+        seen, _ = self.network(padded[:, :, *window], th.from_numpy(frames.truth[:, OWN]), length, None)
+        return loss_of(seen, replace(frames, rocks=rocks), still=still)
 
 
 def _pieces(frames: Frames, length: int) -> Any:
@@ -263,8 +268,6 @@ def _epochs(training: EmbeddingTraining, data: _Data, done: int) -> Iterator[tup
 
 
 def _finish(training: EmbeddingTraining, out: Path, actors: list[str]) -> None:
-    import pandas as pd
-
     training.network.eval()
     save_policy(out, LEVEL, {LEVEL: (spec(), training.network)}, training.config)
     write_atomically(out / "progress.csv", lambda path: pd.DataFrame(training.curve).to_csv(path, index=False))
