@@ -31,7 +31,7 @@ from reproduce.perception import estimator, frames, measuring, training
 from reproduce.perception.estimator import LEVEL, Estimator, fit_body, fit_resting_body, kinds, read_rocks
 from reproduce.perception.frames import Frames, Moves, joined, rocks_in_view, rocks_shown, rollouts, scattered
 from reproduce.perception.losses import loss_of, total, turned
-from reproduce.perception.network import MIDDLE, OWN, SQUARE, Embedding, Seen, _camera, picture_input, spec
+from reproduce.perception.network import MIDDLE, OWN, SQUARE, Embedding, Seen, _camera, moved, picture_input, spec
 from reproduce.perception.refining import Pose, SuitSurface, body_points, refine
 from reproduce.perception.training import EmbeddingConfig, EmbeddingTraining
 from reproduce.storage.policies import save_policy
@@ -174,9 +174,16 @@ def test_rocks_are_read_once_each_by_hand() -> None:
     squares, odds = np.full(SQUARES, -9.0, np.float32), np.log(np.array([0.9, 0.6, 0.5, 0.3]) / [0.1, 0.4, 0.5, 0.7])
     for column, (x, radius) in enumerate([(1.0, 0.06), (1.05, 0.09), (1.3, 0.08), (1.6, 0.1)]):
         squares[:, 4, column] = odds[column], x, 0.0, 0.1, radius
-    found = read_rocks(squares)
+    found = read_rocks(np.stack([squares, squares]))
     assert found[:, 0].tolist() == pytest.approx([1.02, 1.3]) and found[0, 3] == pytest.approx(0.072)
     assert found[:, 4].tolist() == pytest.approx([6.0, 2.0])  # pixels
+
+
+def test_a_picture_is_moved_by_hand() -> None:
+    picture = th.arange(6.0).view(1, 1, 2, 3)
+    assert moved(picture, 1, 0).tolist() == [[[[0, 0, 1], [3, 3, 4]]]]
+    assert moved(picture, -2, -1).tolist() == [[[[5, 5, 5], [5, 5, 5]]]]
+    assert th.equal(moved(picture, 0, 0), picture)
 
 
 def test_a_pixel_s_point_is_where_its_depth_says(seeing: SeeingEnv) -> None:

@@ -19,7 +19,17 @@ from lunar_rescue.scenes.scene import TASKS
 from lunar_rescue.scenes.targets import approach_sides
 from lunar_rescue.seeing import UP, SeeingEnv
 from reproduce.learning.actions import ANGLES
-from reproduce.perception.network import MIDDLE, OWN, SQUARE, Embedding, EmbeddingSpec, Seen, State, picture_input
+from reproduce.perception.network import (
+    MIDDLE,
+    OWN,
+    SQUARE,
+    Embedding,
+    EmbeddingSpec,
+    Seen,
+    State,
+    moved,
+    picture_input,
+)
 from reproduce.perception.refining import RESTING, Pose, body_points, refine, suit_surface
 from reproduce.storage.paths import RESULTS
 from reproduce.storage.policies import load_networks
@@ -27,8 +37,9 @@ from reproduce.storage.policies import load_networks
 FOLDER = RESULTS / "perception"
 LEVEL = "embedding"  # name of the network in the files of weights
 SHOWN = 0.2  # share of a square from which on it counts as one that shows a rock
-FEWEST = 1.5  # px, of a rock that is taken for one
+FEWEST = 1.2  # px, of a rock that is taken for one
 APART = 0.15  # m, what is said of rocks no further apart is said of one
+LOOKS = [(right, down) for right in range(-2, 3) for down in range(-2, 3)]  # px, moves of a picture looked at for rocks
 LOWEST = 0.03  # m, targets lie no lower
 TRIED = 3  # postures, the likeliest, whose suits are put onto the first picture
 LOST = 0.15  # misfit from which on the network is asked where the body is; the right posture's is nearly always less
@@ -73,16 +84,16 @@ def fit_resting_body(points: Array, weights: Array, model: Array, posture: Postu
 
 
 def read_rocks(rocks: Floats) -> Floats:
-    """Return tops [m], radius [m] and pixels of the rocks in a map of squares (5, HEIGHT / 2, WIDTH / 2), (m, 5).
+    """Return tops [m], radius [m] and pixels of the rocks in maps of squares (k, 5, HEIGHT / 2, WIDTH / 2), (m, 5).
 
-    Squares that show a rock are one rock's where they say that its top is in the same place.
+    Squares that show a rock are one rock's where they say that its top is in the same place, in any of the k maps.
     """
-    odds, rows = 1 / (1 + np.exp(-rocks[0].ravel())), rocks[1:].reshape(4, -1).T
+    odds, rows = 1 / (1 + np.exp(-rocks[:, 0].ravel())), rocks[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 4)
     rows, odds = rows[odds > SHOWN], odds[odds > SHOWN]
     found: list[Any] = []
     while len(rows) and len(found) < MAX_ROCKS:
         own = np.hypot(*(rows[:, :2] - rows[odds.argmax(), :2]).T) < APART
-        pixels = SQUARE**2 * odds[own].sum()
+        pixels = SQUARE**2 * odds[own].sum() / len(rocks)
         if pixels > FEWEST:
             found.append([*np.average(rows[own], axis=0, weights=odds[own]), pixels])
         rows, odds = rows[~own], odds[~own]
@@ -135,7 +146,7 @@ class Estimator:
         targets[:, 2] = np.maximum(targets[:, 2], LOWEST)
         if start:
             self._order = [0, 1] if targets[0, 1] > targets[1, 1] else [1, 0]
-            self._begin(self.seen, targets)
+            self._begin(pictures, own, targets)
         ways = (geometry.way_in[:, None] * self._inwards)[self._order]
         targets = targets[self._order]
         ends = np.stack([own[SLICES[key]][15:18] for key in ("P_A", "P_B")])
@@ -199,13 +210,15 @@ class Estimator:
         motion = self.seen.motion[0].numpy().ravel()
         return np.concatenate([centre, rotation[:, 0], rotation[:, 1], motion, skeleton.ravel()])
 
-    def _begin(self, seen: Seen, targets: Array) -> None:
-        """Note rocks and ground, which stay as they are first seen."""
-        found = read_rocks(seen.rocks[0].numpy())
+    def _begin(self, pictures: th.Tensor, own: Floats, targets: Array) -> None:
+        """Note ground and rocks, for which the picture is looked at several times; they stay as they are seen first."""
+        looks = th.cat([moved(pictures, *by) for by in LOOKS])
+        seen, _ = self.network(looks, th.from_numpy(own[None, OWN]).expand(len(looks), -1), 1, None)
+        found = read_rocks(seen.rocks.numpy())
         nearest = np.argsort(np.hypot(*(found[:, :2] - targets[:, :2].mean(axis=0)).T))
         self._rocks = np.zeros((MAX_ROCKS, 5))
         self._rocks[: len(found), :4], self._rocks[: len(found), 4] = found[nearest, :4], 1.0
-        self._ground = seen.ground[0, : 2 * GROUND_POINTS].numpy()
+        self._ground = self.seen.ground[0, : 2 * GROUND_POINTS].numpy()
 
 
 def _points(pictures: th.Tensor, sight: Sight) -> Array:

@@ -182,6 +182,14 @@ def picture_input(colour: NDArray[np.uint8], depth: NDArray[np.uint16], observat
     return th.cat([points, shades], dim=2).transpose(1, 2).reshape(-1, 6, HEIGHT, WIDTH)
 
 
+def moved(pictures: th.Tensor, right: int, down: int) -> th.Tensor:
+    """Return pictures (n, c, h, w) moved by some pixels; what comes in from outside is like the edge."""
+    margin, (height, width) = max(abs(right), abs(down)), pictures.shape[2:]
+    padded = nn.functional.pad(pictures, (margin,) * 4, mode="replicate")
+    top, left = margin - down, margin - right
+    return padded[:, :, top : top + height, left : left + width]
+
+
 def _camera(waist: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
     """Return axes in rows (n, 3, 3) and places (n, 3) [m] of the camera in the base frame, by waist (n,) [rad]."""
     lean, none = waist + PITCH, th.zeros_like(waist)

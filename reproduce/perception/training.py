@@ -19,14 +19,13 @@ import torch as th
 from pydantic import NonNegativeInt, PositiveInt
 from torch import nn
 
-from lunar_rescue.pictures.head import HEIGHT, WIDTH
 from lunar_rescue.scenes.records import checked
 from lunar_rescue.seeing import SeeingEnv
 from reproduce.learning.policy import Policy
 from reproduce.perception.estimator import LEVEL, EstimatedEnv
 from reproduce.perception.frames import Frames, Moves, joined, rollouts, scattered
 from reproduce.perception.losses import loss_of, total, turned
-from reproduce.perception.network import OWN, Embedding, picture_input, spec
+from reproduce.perception.network import OWN, Embedding, moved, picture_input, spec
 from reproduce.storage.checkpoint import (
     Progress,
     load_checkpoint,
@@ -142,12 +141,9 @@ class EmbeddingTraining:
         pictures = picture_input(frames.colour, frames.depth, frames.truth)
         frames = turned(pictures, frames, length, rng)
         right, down = (int(shift) for shift in rng.integers(-SHIFT, SHIFT + 1, 2))
-        padded = nn.functional.pad(pictures, (SHIFT,) * 4, mode="replicate")
-        top, left = SHIFT - down, SHIFT - right
-        window = slice(top, top + HEIGHT), slice(left, left + WIDTH)
-        rocks = np.pad(frames.rocks, [(0, 0), (SHIFT, SHIFT), (SHIFT, SHIFT)], mode="edge")[:, *window]
-        seen, _ = self.network(padded[:, :, *window], th.from_numpy(frames.truth[:, OWN]), length, None)
-        return loss_of(seen, replace(frames, rocks=rocks), still=still)
+        rocks = moved(th.from_numpy(frames.rocks)[:, None].float(), right, down)[:, 0]
+        seen, _ = self.network(moved(pictures, right, down), th.from_numpy(frames.truth[:, OWN]), length, None)
+        return loss_of(seen, replace(frames, rocks=rocks.numpy()), still=still)
 
 
 def _pieces(frames: Frames, length: int) -> Any:
