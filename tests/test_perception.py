@@ -350,6 +350,11 @@ def test_losses_by_hand(first: Frames) -> None:
         [0.0] * 4, abs=1e-6
     )
     assert terms["found"] > 10.0  # rocks are there, and none was said
+    which = th.from_numpy(first.rocks).view(len(first), SQUARES[1], 2, SQUARES[2], 2).amax(dim=(2, 4)).long()
+    rows = truth[:, SLICES["P_E"]].view(len(first), -1, 5)[th.arange(len(first))[:, None, None], which - 1, :4]
+    rocks = th.cat([100.0 * (which > 0)[:, None] - 50.0, rows.permute(0, 3, 1, 2)], dim=1)
+    terms = loss_of(seen._replace(rocks=rocks), first)
+    assert terms["places"] == 0.0 < loss_of(seen._replace(rocks=rocks.flip(3)), first)["places"]
     # Nobody can tell motion from pictures that stand still, but where an episode begins all is at rest.
     later = replace(first, start=np.arange(len(first)) < 4)
     moved = seen._replace(motion=motion + th.arange(len(first))[:, None, None].ge(4).float())
