@@ -71,7 +71,7 @@ def camera_views(count: int, first_seed: int) -> Figure:
 def skeletons(seed: int, count: int, where: str = "scripted", folder: Path = FOLDER) -> tuple[Figure, pd.DataFrame]:
     """Act out a rescue on estimates; return a strip of what is seen, key points drawn over it, and errors by step.
 
-    Green is where the body is, magenta where the embedding takes it to be; rings are rocks.
+    Green is where body and rocks are, magenta where the embedding takes them to be.
     """
     frames, rows, policy, done = [], [], find_policy(where)[1], False
     with closing(EstimatedEnv(load_embedding(folder))) as env:
