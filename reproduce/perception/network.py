@@ -60,8 +60,8 @@ class Seen(NamedTuple):
     doubt: th.Tensor  # variance of the two (n, 2)
     posture: th.Tensor  # logarithms of the odds of the 20 postures (n, 20)
     ground: th.Tensor  # heights along the ways in, then their variance (n, 2 GROUND_POINTS + 1) [0.1 m]
-    #: Of each episode's first picture and each square: log odds of a rock in a pixel, its top (3) and radius [m].
-    rocks: th.Tensor  # (n / length, 5, HEIGHT / SQUARE, WIDTH / SQUARE)
+    #: Of each square of pictures that begin an episode: log odds of a rock in a pixel, its top (3) and radius [m].
+    rocks: th.Tensor  # (n / length, 5, HEIGHT / SQUARE, WIDTH / SQUARE), none where a state was handed in
 
 
 @checked
@@ -140,7 +140,7 @@ class Embedding(nn.Module):
         moving = motion.view(-1, 2, 3) * motion.new_tensor([SPEED, SPIN])[:, None]
         placed = looked_at + SPREAD * points.view(-1, POINTS, 3)
         spread, doubt = spread.clamp(LEAST, MOST), doubt.clamp(LEAST, MOST)
-        first = slice(len(pictures) // length)  # rocks stay where they are, so one look is enough
+        first = slice(len(pictures) // length if state is None else 0)  # rocks stay where they are: one look is enough
         rocks = self._rocks(pictures[first], fine[first], cells[first])
         return Seen(placed, spread, moving, doubt, posture, ground, rocks), after
 
